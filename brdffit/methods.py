@@ -1,0 +1,143 @@
+"""What a method is, what it returns, and how methods are found.
+
+A method turns a base SVBRDF into a pyramid. Ours, the baselines and whatever comes later are all alike: one class
+with ``name``, ``summary`` and ``bake``, named by an entry point of the group ``brdffit.methods`` (or given as
+``module:object``).
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from typing import Protocol, runtime_checkable
+
+from numpy.typing import NDArray
+
+from brdffit.errors import UnknownNameError
+from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
+from brdffit.svbrdf import Svbrdf
+
+#: progress(level, texels_done, texels_of_level): called from time to time while a level is baked.
+Progress = Callable[[int, int, int], None]
+
+QUALITIES = ("draft", "standard", "fine")
+
+
+@dataclass(frozen=True)
+class BakeOptions:
+    """What a user may ask of any method; a method ignores what it has no use for.
+
+    Attributes:
+        model: lobe model of the pyramid.
+        pixel_filter: "box", "gaussian" or "mitchell", of each level's scale.
+        levels: how many levels, level 0 counted; None goes down to 1x1.
+        keep_level_0: leave level 0 as authored instead of filtering it for the pixel filter.
+        quality: "draft", "standard" or "fine" (quadrature and starts of the nonlinear fit).
+        specular: "free" (best scale in closed form) or "held" (filtered colour, for metallic-roughness outputs).
+        lobe: "anisotropic" or "isotropic".
+        normal: "free" or "mean" (held at the mean normal).
+        density: "cosine" or "uniform": how l and v are distributed in the error integral.
+        min_roughness: perceptual roughness floor, in (0, 1].
+        threads: worker threads; None takes all cores. The result does not depend on it.
+    """
+
+    model: str = "ggx"
+    pixel_filter: str = "box"
+    levels: int | None = None
+    keep_level_0: bool = False
+    quality: str = "standard"
+    specular: str = "free"
+    lobe: str = "anisotropic"
+    normal: str = "free"
+    density: str = "cosine"
+    min_roughness: float = DEFAULT_MIN_ROUGHNESS
+    threads: int | None = None
+
+
+@dataclass
+class Level:
+    """One MIP level and what the method says of it.
+
+    Attributes:
+        svbrdf: the level's own parameters.
+        status: (H, W) uint8, index into ``brdffit.fitting.status.STATUSES``; None for closed forms.
+        residual: (H, W) float32 relative squared error as the method itself saw it; None for closed forms.
+        evaluations: (H, W) uint16 objective evaluations; None for closed forms.
+        seconds: wall-clock seconds spent on this level.
+    """
+
+    svbrdf: Svbrdf
+    status: NDArray | None = None
+    residual: NDArray | None = None
+    evaluations: NDArray | None = None
+    seconds: float = 0.0
+
+
+@dataclass
+class Pyramid:
+    """MIP levels from level 0 down, by one method."""
+
+    method: str
+    options: BakeOptions
+    levels: list[Level]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def model(self) -> str:
+        """Name of the lobe model of every level."""
+        return self.levels[0].svbrdf.model
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+    def __getitem__(self, mip_level: int) -> Level:
+        return self.levels[mip_level]
+
+
+@runtime_checkable
+class Method(Protocol):
+    """A way to bake a pyramid."""
+
+    name: str
+    summary: str
+
+    def bake(self, svbrdf: Svbrdf, options: BakeOptions, progress: Progress | None = None) -> Pyramid:
+        """Bake ``svbrdf`` into a pyramid.
+
+        Raises:
+            brdffit.errors.InputError: when the method needs something that the SVBRDF lacks.
+        """
+        ...
+
+
+def method_names() -> list[str]:
+    """Names of the installed methods, ours first."""
+    names = sorted(point.name for point in entry_points(group="brdffit.methods"))
+    return sorted(names, key=lambda name: name != "bfgs")
+
+
+def get_method(name: str) -> Method:
+    """The method of this name, or of ``module:object``.
+
+    Raises:
+        UnknownNameError: with the nearest known name.
+    """
+    if ":" in name:
+        module, _, attribute = name.partition(":")
+        try:
+            return getattr(importlib.import_module(module), attribute)()
+        except (ImportError, AttributeError) as error:
+            raise UnknownNameError("method", name, method_names()) from error
+    for point in entry_points(group="brdffit.methods"):
+        if point.name == name:
+            return point.load()()
+    raise UnknownNameError("method", name, method_names())
+
+
+def one_of(kind: str, name: str, known: Sequence[str]) -> str:
+    """``name`` if it is known, else an UnknownNameError with the nearest name."""
+    if name not in known:
+        raise UnknownNameError(kind, name, known)
+    return name

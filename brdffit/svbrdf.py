@@ -1,0 +1,83 @@
+"""A spatially varying BRDF in the program's own terms; it knows nothing of files."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+WRAPS = ("tile", "clamp")
+
+
+@dataclass
+class Svbrdf:
+    """Per-texel parameters of one lobe; all arrays float32, row 0 at the top of the picture.
+
+    Attributes:
+        normal: (H, W, 3) unit normals, tangent space, z up, +Y up in the picture (OpenGL).
+        log_roughness: (H, W, 3) matrix logarithm (a, b, c) of the roughness tensor [[a, c], [c, b]] in alpha^2,
+            in the tangent plane of the normal (frame: the rotation that takes z to n by the shortest way).
+        specular: (H, W, 3) linear RGB scale of the lobe (reflectance at normal incidence).
+        diffuse: (H, W, 3) linear RGB diffuse albedo.
+        model: name of the lobe model.
+        wrap: "tile" or "clamp", how the texture goes on beyond its border.
+        shape: (H, W) further parameter of the lobe, or None where the model has none.
+        occlusion: (H, W) ambient occlusion in [0, 1], or None; carried along, averaged, never fitted.
+        height: (H, W) height in texels (positive up), or None; read by the method that filters heights.
+    """
+
+    normal: NDArray
+    log_roughness: NDArray
+    specular: NDArray
+    diffuse: NDArray
+    model: str = "ggx"
+    wrap: str = "tile"
+    shape: NDArray | None = None
+    occlusion: NDArray | None = None
+    height: NDArray | None = None
+
+    def __post_init__(self) -> None:
+        size = self.normal.shape[:2]
+        for name in ("normal", "log_roughness", "specular", "diffuse"):
+            array = getattr(self, name)
+            if array.shape != (*size, 3):
+                raise ValueError(f"{name} has shape {array.shape}, expected {(*size, 3)}")
+        for name in ("shape", "occlusion", "height"):
+            array = getattr(self, name)
+            if array is not None and array.shape != size:
+                raise ValueError(f"{name} has shape {array.shape}, expected {size}")
+        if self.wrap not in WRAPS:
+            raise ValueError(f"wrap is {self.wrap!r}, expected one of {WRAPS}")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) in texels."""
+        return self.normal.shape[0], self.normal.shape[1]
+
+    def replace(self, **changes: object) -> Svbrdf:
+        """A copy with some fields changed (arrays are shared, not copied)."""
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+
+    def arrays(self) -> dict[str, NDArray]:
+        """The arrays that are present, by field name."""
+        names = ("normal", "log_roughness", "specular", "diffuse", "shape", "occlusion", "height")
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+
+    def is_finite(self) -> bool:
+        """Whether every stored number is finite."""
+        return all(bool(np.isfinite(array).all()) for array in self.arrays().values())
+
+
+def level_sizes(size: tuple[int, int], levels: int | None = None) -> list[tuple[int, int]]:
+    """Sizes (height, width) of the MIP levels of a base of this size, each half the one before, rounded down, to 1x1.
+
+    ``levels`` stops the list early (level 0 counts).
+    """
+    height, width = size
+    sizes = [(height, width)]
+    while (height, width) != (1, 1):
+        height, width = max(1, height // 2), max(1, width // 2)
+        sizes.append((height, width))
+    return sizes if levels is None else sizes[:levels]
