@@ -1,0 +1,254 @@
+"""Images in and out: the one file that imports OpenImageIO.
+
+OpenImageIO raises nothing: calls return None or False and the words are in ``geterror()``, and a truncated JPEG
+returns an array all the same. Every call is followed by a look at the error, here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError, OutputError
+
+#: File types that are read as maps of a texture set.
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff", ".tga", ".bmp", ".webp", ".hdr", ".dds")
+#: Side of the tiles of written EXR files, in texels.
+TILE_SIZE = 64
+
+_BITS = {"uint8": 8, "int8": 8, "uint16": 16, "int16": 16, "uint32": 32, "int32": 32, "half": 16, "float": 32}
+
+
+@dataclass(frozen=True)
+class ImageInfo:
+    """What the header of an image file says.
+
+    Attributes:
+        path: the file.
+        width, height: size in texels.
+        channels: channel names in file order.
+        bits: stored bits per channel (8 or 16 for integers, 16 for half, 32 for float).
+        is_float: whether the file stores half or float.
+        format: name of the file format ("png", "jpeg", "openexr", ...).
+    """
+
+    path: Path
+    width: int
+    height: int
+    channels: tuple[str, ...]
+    bits: int
+    is_float: bool
+    format: str
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the file's bytes, in hexadecimal."""
+        try:
+            with self.path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise InputError(f"'{self.path}' cannot be read: {error.strerror}.") from error
+
+
+@dataclass(frozen=True)
+class Image(ImageInfo):
+    """An image file with its pixels.
+
+    Attributes:
+        pixels: (H, W, C) float32, row 0 at the top; integer formats scaled to [0, 1], float formats as stored.
+    """
+
+    pixels: NDArray[np.float32]
+
+
+def read_info(path: str | Path) -> ImageInfo:
+    """The header of an image file, without its pixels.
+
+    Raises:
+        InputError: when the file is missing, empty, unreadable or no image.
+    """
+    path = Path(path)
+    reader, info = _open(path)
+    reader.close()
+    return info
+
+
+def read_image(path: str | Path) -> Image:
+    """Read the first subimage of a file at full resolution; alpha stays unassociated, colours stay undecoded.
+
+    Raises:
+        InputError: when the file is missing, empty, unreadable, no image, or truncated (JPEG too).
+    """
+    path = Path(path)
+    reader, info = _open(path)
+    try:
+        pixels = reader.read_image(0, 0, 0, len(info.channels), oiio.FLOAT)
+        # A truncated JPEG returns an array: only the error tells.
+        problem = reader.geterror() if reader.has_error else ""
+    finally:
+        reader.close()
+    if pixels is None or problem:
+        raise InputError(
+            f"'{path}' is truncated or damaged ({_one_line(problem)}), expected {info.width}x{info.height} pixels."
+        )
+    pixels = np.asarray(pixels, dtype=np.float32).reshape(info.height, info.width, len(info.channels))
+    return Image(**{name: getattr(info, name) for name in ImageInfo.__dataclass_fields__}, pixels=pixels)
+
+
+def write_png(path: str | Path, pixels: NDArray) -> None:
+    """Write (H, W) or (H, W, C) uint8 or uint16 pixels, C from 1 to 4, as a PNG; alpha is stored unassociated.
+
+    Raises:
+        OutputError: when the file cannot be written in full.
+    """
+    path = Path(path)
+    if pixels.ndim == 2:
+        pixels = pixels[:, :, None]
+    if pixels.dtype not in (np.uint8, np.uint16) or not 1 <= pixels.shape[2] <= 4:
+        raise ValueError(f"a PNG holds 1 to 4 channels of uint8 or uint16, not {pixels.shape} {pixels.dtype}")
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, str(pixels.dtype))
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    writer = _create(path, "png")
+    _check(writer.open(str(path), spec), writer, path)
+    _check(writer.write_image(np.ascontiguousarray(pixels)), writer, path)
+    _check(writer.close(), writer, path)
+    with path.open("rb") as file:
+        file.seek(-min(12, path.stat().st_size), 2)
+        if file.read()[4:8] != b"IEND":
+            raise OutputError(f"'{path}' could not be written in full: is the disk full?")
+
+
+def write_mip_exr(
+    path: str | Path,
+    levels: Sequence[NDArray],
+    channel_names: Sequence[str],
+    attributes: Mapping[str, str | int | float] | None = None,
+) -> None:
+    """Write a tiled, MIP-mapped float EXR with these levels as they are; the same input gives the same bytes.
+
+    Args:
+        path: the file; its suffix must be .exr.
+        levels: (h, w, C) float32 arrays, level 0 first, each half the one before (rounded down) to 1x1.
+        channel_names: C names.
+        attributes: further header attributes.
+
+    Raises:
+        OutputError: when the file cannot be written in full.
+    """
+    path = Path(path)
+    if levels[-1].shape[:2] != (1, 1):
+        # OpenImageIO closes a chain that stops short without complaint, and reads the missing levels back as None.
+        raise ValueError(f"the last MIP level is {levels[-1].shape[:2]}, expected (1, 1)")
+    writer = _create(path, "openexr")
+    for mip_level, level in enumerate(levels):
+        height, width, channels = level.shape
+        if channels != len(channel_names):
+            raise ValueError(f"level {mip_level} has {channels} channels, expected {tuple(channel_names)}")
+        spec = oiio.ImageSpec(width, height, channels, "float")
+        spec.channelnames = tuple(channel_names)
+        spec.alpha_channel = -1
+        spec.tile_width = spec.tile_height = TILE_SIZE
+        spec.tile_depth = 1
+        spec.attribute("textureformat", "Plain Texture")
+        spec.attribute("compression", "zip")
+        # Without a date of ours the writer stamps the present one, and no two bakes would be alike.
+        spec.attribute("DateTime", "1970:01:01 00:00:00")
+        for name, value in (attributes or {}).items():
+            spec.attribute(name, value)
+        opened = writer.open(str(path), spec) if mip_level == 0 else writer.open(str(path), spec, "AppendMIPLevel")
+        _check(opened, writer, path)
+        _check(writer.write_image(np.ascontiguousarray(level, dtype=np.float32)), writer, path)
+    _check(writer.close(), writer, path)
+
+
+def read_mip_exr(path: str | Path, channel_names: Sequence[str] | None = None) -> list[NDArray[np.float32]]:
+    """All MIP levels of a file, level 0 first, as (h, w, C) float32.
+
+    An EXR file keeps its channels sorted by name (XX, XY, YY); ``channel_names`` gives the order wanted here.
+
+    Raises:
+        InputError: as ``read_image``, and when a level cannot be read or a channel is missing.
+    """
+    path = Path(path)
+    reader, info = _open(path)
+    missing = [name for name in channel_names or () if name not in info.channels]
+    if missing:
+        reader.close()
+        raise InputError(f"'{path}' has the channels {', '.join(info.channels)}, expected {', '.join(channel_names or ())}.")
+    order = [info.channels.index(name) for name in channel_names or info.channels]
+    levels: list[NDArray[np.float32]] = []
+    try:
+        while reader.seek_subimage(0, len(levels)):
+            spec = reader.spec()
+            pixels = reader.read_image(0, len(levels), 0, spec.nchannels, oiio.FLOAT)
+            problem = reader.geterror() if reader.has_error else ""
+            if pixels is None or problem:
+                raise InputError(f"'{path}' is damaged at MIP level {len(levels)} ({_one_line(problem)}).")
+            shaped = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
+            levels.append(np.ascontiguousarray(shaped[:, :, order]))
+    finally:
+        reader.close()
+    return levels
+
+
+def _open(path: Path) -> tuple[oiio.ImageInput, ImageInfo]:
+    try:
+        if not path.exists():
+            raise InputError(f"'{path}' does not exist, expected an image file.")
+        if path.is_dir():
+            raise InputError(f"'{path}' is a folder, expected an image file.")
+        if path.stat().st_size == 0:
+            raise InputError(f"'{path}' is empty (0 bytes), expected an image file.")
+        with path.open("rb"):
+            pass
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    reader = oiio.ImageInput.open(str(path), config)
+    if reader is None:
+        raise InputError(f"'{path}' is not an image that can be read ({_one_line(oiio.geterror())}).")
+    spec = reader.spec()
+    base = str(oiio.TypeDesc(spec.format.basetype))
+    info = ImageInfo(
+        path=path,
+        width=spec.width,
+        height=spec.height,
+        channels=tuple(spec.channelnames),
+        bits=_BITS.get(base, 32),
+        is_float=base in ("half", "float", "double"),
+        format=reader.format_name(),
+    )
+    if reader.has_error:
+        problem = _one_line(reader.geterror())
+        reader.close()
+        raise InputError(f"'{path}' is not an image that can be read ({problem}).")
+    return reader, info
+
+
+def _create(path: Path, file_format: str) -> oiio.ImageOutput:
+    writer = oiio.ImageOutput.create(file_format)
+    if writer is None:
+        raise OutputError(f"'{path}' could not be written: {_one_line(oiio.geterror())}.")
+    return writer
+
+
+def _check(done: bool, writer: oiio.ImageOutput, path: Path) -> None:
+    problem = writer.geterror() if writer.has_error else ""
+    if not done or problem:
+        writer.close()
+        raise OutputError(
+            f"'{path}' could not be written ({_one_line(problem)}): is the folder writable and the disk not full?"
+        )
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split()).rstrip(".") or "no reason given"
