@@ -1,0 +1,215 @@
+"""Writing a pyramid: MIP-mapped EXR files, engine-ready pictures, manifest and preview, all of them or none.
+
+Memory stays near one file's worth at any size: files are written one after another, pictures level by level, and
+derived quantities are computed in bands of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.methods import Pyramid
+from brdffit.roughness import tensor_from_log
+from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.textures import atomic
+from brdffit.textures.image_io import write_mip_exr, write_png
+from brdffit.textures.manifest import FILE_NAME, file_digest, foreign_file, stable_digest, to_json
+from brdffit.textures.presets import Channels, Picture, Preset, get_preset
+
+_TEXELS_PER_BAND = 1 << 20
+#: EXR files: name, channels, what of the SVBRDF they hold.
+_EXR_FILES: tuple[tuple[str, tuple[str, ...], Callable[[Svbrdf], NDArray]], ...] = (
+    ("normal", ("X", "Y", "Z"), lambda svbrdf: svbrdf.normal),
+    ("roughness", ("XX", "YY", "XY"), lambda svbrdf: tensor_from_log(svbrdf.log_roughness)),
+    ("specular", ("R", "G", "B"), lambda svbrdf: svbrdf.specular),
+    ("diffuse", ("R", "G", "B"), lambda svbrdf: svbrdf.diffuse),
+)
+
+
+def check_writable(folder: str | Path, size: tuple[int, int] | None = None) -> None:
+    """See, before the work, that ``folder`` can be made or replaced later and that its disk has room.
+
+    Args:
+        folder: OUT/<set>.
+        size: (height, width) of level 0, to estimate the bytes needed; None asks for no room.
+
+    Raises:
+        OutputError: when it cannot; the sentence says why.
+    """
+    # Four EXR files of three floats, hardly compressible, and some four pictures of three bytes; 4/3 for the levels.
+    needed = 0 if size is None else int(size[0] * size[1] * (4 * 12 + 4 * 3) * 4 / 3)
+    atomic.check_writable(folder, foreign_file, needed)
+
+
+def write_pyramid(
+    pyramid: Pyramid,
+    folder: str | Path,
+    *,
+    name: str,
+    preset: str = "plain",
+    bits: int = 8,
+    manifest: Mapping[str, Any],
+    preview: NDArray | None = None,
+) -> dict[str, Any]:
+    """Write a pyramid into ``folder`` (OUT/<set>), which is replaced as a whole or left as it was.
+
+    Writes normal.exr, roughness.exr (the tensor in alpha^2), specular.exr, diffuse.exr, shape.exr where the model has a
+    shape parameter, mips/<name>_<role>.<level>.png, manifest.json and, if given, preview.png. A pyramid that stops
+    before 1x1 is continued in the EXR files by box averages of its last level, for texture systems cannot read a chain
+    that stops short; the manifest lists those levels under ``filled_levels``. The pictures stop where the pyramid does.
+
+    Args:
+        pyramid: what a method returned.
+        folder: output folder of this set.
+        name: name of the set, in the pictures' names.
+        preset: name of a preset, see `presets`.
+        bits: 8 or 16, of the pictures.
+        manifest: from `build_manifest`.
+        preview: (H, W, 3) uint8, from `make_preview`.
+
+    Returns:
+        The manifest as written.
+
+    Raises:
+        UnknownNameError: no such preset.
+        OutputError: when the folder cannot be written, or holds files that are not ours.
+    """
+    chosen = get_preset(preset)
+    if bits not in (8, 16):
+        raise ValueError(f"bits is {bits}, expected 8 or 16")
+    with atomic.replacing(folder, foreign_file) as fresh:
+        record = dict(manifest)
+        filled = _write_exr_files(pyramid, fresh)
+        record["filled_levels"] = filled
+        record["pictures"] = _write_pictures(pyramid, fresh, name, chosen, bits)
+        record["preset"] = {"name": chosen.name, "normal_y": chosen.normal_y, "roughness": chosen.roughness, "bits": bits}
+        if preview is not None:
+            write_png(fresh / "preview.png", preview)
+        paths = sorted(path for path in fresh.rglob("*") if path.is_file())
+        record["files"] = {
+            path.relative_to(fresh).as_posix(): {"bytes": path.stat().st_size, "sha256": file_digest(path)} for path in paths
+        }
+        record["stable_digest"] = stable_digest(record)
+        (fresh / FILE_NAME).write_text(to_json(record), encoding="utf-8")
+    return record
+
+
+def encode_srgb(linear: NDArray) -> NDArray:
+    """Linear [0, 1] to sRGB-encoded [0, 1] (IEC 61966-2-1); values outside are clipped."""
+    linear = np.clip(linear, 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1.0 / 2.4) - 0.055)
+
+
+def quantise(values: NDArray, bits: int) -> NDArray:
+    """[0, 1] to codes of uint8 or uint16, halves upwards; values outside are clipped."""
+    top = 2**bits - 1
+    return np.floor(np.clip(values, 0.0, 1.0) * top + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def encode_picture(
+    svbrdf: Svbrdf, picture: Picture, normal_y: str, towards: tuple[float, float], bits: int
+) -> tuple[NDArray, int]:
+    """One picture of one level, (H, W, C) codes, and how many values lay outside [0, 1] and were clipped."""
+    height, width = svbrdf.size
+    out = np.empty((height, width, len(picture.channels)), np.uint8 if bits == 8 else np.uint16)
+    clipped = 0
+    # Float arithmetic may leave [0, 1] by a few ulps where nothing is lost.
+    slack = 1e-5
+    for rows in _bands(svbrdf.size):
+        channels = Channels(_rows(svbrdf, rows), normal_y, towards)
+        for index, channel in enumerate(picture.channels):
+            values = channels[channel]
+            clipped += int(np.count_nonzero((values < -slack) | (values > 1.0 + slack)))
+            out[rows, :, index] = quantise(encode_srgb(values) if picture.srgb else values, bits)
+    return out, clipped
+
+
+def dominant_direction(svbrdf: Svbrdf) -> tuple[float, float]:
+    """Unit direction of larger roughness that most texels agree on: mean of log Sigma's deviator, at half its angle."""
+    a, b, c = svbrdf.log_roughness.reshape(-1, 3).mean(axis=0, dtype=np.float64)
+    angle = 0.5 * np.arctan2(2.0 * c, a - b)
+    return float(np.cos(angle)), float(np.sin(angle))
+
+
+def _write_pictures(pyramid: Pyramid, fresh: Path, name: str, preset: Preset, bits: int) -> dict[str, Any]:
+    """Write the PNG files; what the manifest says of each role."""
+    (fresh / "mips").mkdir()
+    # One half plane for all levels, or trilinear filtering would mix a direction with its opposite.
+    towards = dominant_direction(pyramid[0].svbrdf)
+    base = pyramid[0].svbrdf
+    present = {"": True, "anisotropy": pyramid.options.lobe == "anisotropic", "occlusion": base.occlusion is not None}
+    written: dict[str, Any] = {}
+    for picture in preset.pictures:
+        if not present[picture.needs]:
+            continue
+        clipped = []
+        for mip_level, level in enumerate(pyramid.levels):
+            codes, outside = encode_picture(level.svbrdf, picture, preset.normal_y, towards, bits)
+            write_png(fresh / "mips" / f"{name}_{picture.role}.{mip_level}.png", codes)
+            clipped.append(outside)
+        written[picture.role] = {"channels": picture.channels, "srgb": picture.srgb, "clipped_values": clipped}
+    return written
+
+
+def _write_exr_files(pyramid: Pyramid, fresh: Path) -> list[int]:
+    """Write the EXR files; the levels that the pyramid lacks and that were filled."""
+    sizes = level_sizes(pyramid[0].svbrdf.size)
+    files = list(_EXR_FILES)
+    if pyramid[0].svbrdf.shape is not None:
+        files.append(("shape", ("Y",), _shape))
+    for file_name, channels, quantity in files:
+        levels = [_in_bands(level.svbrdf, quantity, len(channels)) for level in pyramid.levels]
+        for size in sizes[len(levels) :]:
+            averaged = halve(levels[-1], size)
+            if file_name == "normal":
+                averaged = _normalised(averaged)
+            levels.append(averaged)
+        write_mip_exr(fresh / f"{file_name}.exr", levels, channels)
+    return list(range(len(pyramid), len(sizes)))
+
+
+def halve(pixels: NDArray, size: tuple[int, int]) -> NDArray:
+    """Box average of (H, W, C) pixels to the next level's (height, width); every texel counts by its share of area."""
+    for axis, length in enumerate(size):
+        edges = np.linspace(0.0, pixels.shape[axis], length + 1)
+        # The integral of the rows up to each edge; its differences are the sums under each target texel.
+        flat = np.moveaxis(pixels, axis, 0).astype(np.float64)
+        integral = np.concatenate([np.zeros_like(flat[:1]), np.cumsum(flat, axis=0)])
+        whole = np.minimum(edges.astype(int), len(flat) - 1)
+        part = (edges - whole).reshape(-1, *[1] * (flat.ndim - 1))
+        at_edges = integral[whole] + part * flat[whole]
+        pixels = np.moveaxis(np.diff(at_edges, axis=0) * (length / len(flat)), 0, axis)
+    return pixels.astype(np.float32)
+
+
+def _normalised(normal: NDArray) -> NDArray:
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    up = np.array([0.0, 0.0, 1.0], np.float32)
+    return np.where(length > 1e-6, normal / np.maximum(length, 1e-6), up).astype(np.float32)
+
+
+def _shape(svbrdf: Svbrdf) -> NDArray:
+    assert svbrdf.shape is not None
+    return svbrdf.shape[..., None]
+
+
+def _bands(size: tuple[int, int]) -> Iterator[slice]:
+    rows = max(1, _TEXELS_PER_BAND // size[1])
+    for start in range(0, size[0], rows):
+        yield slice(start, min(start + rows, size[0]))
+
+
+def _rows(svbrdf: Svbrdf, rows: slice) -> Svbrdf:
+    return svbrdf.replace(**{field: array[rows] for field, array in svbrdf.arrays().items()})
+
+
+def _in_bands(svbrdf: Svbrdf, quantity: Callable[[Svbrdf], NDArray], channels: int) -> NDArray:
+    out = np.empty((*svbrdf.size, channels), np.float32)
+    for rows in _bands(svbrdf.size):
+        out[rows] = quantity(_rows(svbrdf, rows))
+    return out

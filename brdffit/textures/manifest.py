@@ -1,0 +1,170 @@
+"""The manifest of a baked set: what was read, what was asked, what came out.
+
+The same inputs and options give the same manifest but for its part ``volatile`` (seconds, threads, machine);
+``stable_digest`` is the SHA-256 of everything else, the written files included, so two bakes are the same if and only
+if their digests are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from brdffit.methods import Level, Pyramid
+
+FORMAT = 1
+FILE_NAME = "manifest.json"
+_PACKAGES = ("brdffit", "numpy", "scipy", "numba", "nlopt", "OpenImageIO")
+
+
+def build_manifest(
+    pyramid: Pyramid,
+    *,
+    name: str,
+    inputs: Iterable[tuple[str, str | Path]] = (),
+    conventions: Mapping[str, Any] | None = None,
+    status_names: Sequence[str] = (),
+    measured: Sequence[Mapping[str, Any]] = (),
+    notes: Iterable[str] = (),
+) -> dict[str, Any]:
+    """The manifest of a pyramid, before it is written (`write_pyramid` adds what it wrote).
+
+    Args:
+        pyramid: what a method returned.
+        name: name of the set.
+        inputs: (role, path) of every file that was read; paths are recorded by file name, contents by SHA-256.
+        conventions: how the inputs were read: normal Y, wrap, roughness convention, and the like.
+        status_names: name of each code of ``Level.status``.
+        measured: per level what was measured against the reference, such as ``snr_db`` and ``energy_kept``.
+        notes: sentences for the user, after the method's own.
+
+    Raises:
+        OSError: when an input cannot be read any more.
+    """
+    options = dataclasses.asdict(pyramid.options)
+    threads = options.pop("threads")
+    base = pyramid[0].svbrdf
+    return {
+        "format": FORMAT,
+        "name": name,
+        "versions": versions(),
+        "method": pyramid.method,
+        "model": pyramid.model,
+        "options": options,
+        "wrap": base.wrap,
+        "conventions": dict(conventions or {}),
+        "inputs": [
+            {"role": role, "file": Path(path).name, "sha256": file_digest(path)}
+            for role, path in sorted((role, str(path)) for role, path in inputs)
+        ],
+        "levels": [
+            level_record(level, k, status_names, measured[k] if k < len(measured) else {})
+            for k, level in enumerate(pyramid.levels)
+        ],
+        "notes": [*pyramid.notes, *notes],
+        "volatile": {
+            "seconds": [level.seconds for level in pyramid.levels],
+            "threads": threads or os.cpu_count(),
+            "machine": f"{platform.system()} {platform.machine()}",
+        },
+    }
+
+
+def level_record(
+    level: Level, mip_level: int, status_names: Sequence[str] = (), measured: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """What the manifest says of one level.
+
+    ``residual_snr_db`` is -10 log10 of the mean residual as the method itself saw it; null for closed forms, and where
+    nothing is left of the residual.
+    """
+    height, width = level.svbrdf.size
+    record: dict[str, Any] = {"level": mip_level, "width": width, "height": height, "texels": height * width}
+    if level.status is not None:
+        counts = np.bincount(level.status.ravel())
+        record["statuses"] = {
+            status_names[code] if code < len(status_names) else str(code): int(count)
+            for code, count in enumerate(counts)
+            if count
+        }
+    if level.evaluations is not None:
+        record["evaluations"] = int(level.evaluations.sum(dtype=np.int64))
+    if level.residual is not None:
+        mean = float(level.residual.mean(dtype=np.float64))
+        record["residual_snr_db"] = -10.0 * math.log10(mean) if mean > 0.0 else None
+    return {**record, **(measured or {})}
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, of this package and of what its numbers depend on."""
+    found = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
+
+def file_digest(path: str | Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def stable_digest(manifest: Mapping[str, Any]) -> str:
+    """SHA-256 of a manifest without its parts ``volatile`` and ``stable_digest``."""
+    kept = {key: value for key, value in manifest.items() if key not in ("volatile", "stable_digest")}
+    return hashlib.sha256(to_json(kept).encode()).hexdigest()
+
+
+def to_json(manifest: Mapping[str, Any]) -> str:
+    """Text of a manifest: keys sorted, numbers that are not finite as null, one line break at the end."""
+    return json.dumps(_plain(manifest), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def foreign_file(folder: Path) -> str | None:
+    """A file of ``folder`` that its manifest does not list, as a relative path; None when all of it is ours, or empty.
+
+    Raises:
+        OSError: when the folder cannot be read.
+    """
+    try:
+        manifest = json.loads((folder / FILE_NAME).read_text(encoding="utf-8"))
+        ours = {FILE_NAME, *manifest["files"]} if manifest["format"] >= 1 else set()
+    except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError):
+        ours = set()
+    for parent, folders, files in os.walk(folder):
+        folders.sort()
+        for name in sorted(files):
+            path = Path(parent, name).relative_to(folder).as_posix()
+            if path not in ours:
+                return path
+    return None
+
+
+def _plain(value: Any) -> Any:
+    """The same of what JSON knows: numpy scalars and arrays, tuples and paths told plainly."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, Path):
+        return value.as_posix()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
