@@ -13,7 +13,7 @@ and both axes separate. Level 0 is a level like the others.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -149,24 +149,31 @@ def filter_channels(image: NDArray, size: tuple[int, int], pixel_filter: PixelFi
     return out
 
 
-def filter_pyramid(
+def iter_pyramid(
     image: NDArray, sizes: Sequence[tuple[int, int]], pixel_filter: PixelFilter, wrap: str
-) -> list[NDArray]:
-    """``filter_channels`` of ``image`` (H, W, C) float32 for each of ``sizes`` (h, w), finest first.
+) -> Iterator[NDArray]:
+    """``filter_channels`` of ``image`` (H, W, C) float32 for each of ``sizes`` (h, w), finest first, one at a time.
 
     With the box filter, a level whose sides divide those of the level before is made from that level, exactly: where
     W_k = r W_{k+1}, the pixel of level k+1 at x is the interval [r x, r (x + 1)] W_0 / W_k, that is, the pixels
     r x ... r x + r - 1 of level k side by side, and the mean of a function over a union of equal intervals is the mean
     of its means. (Gaussian and Mitchell footprints overlap: no such law, they are filtered from the base.)
+    Do not write to a level before the next is made.
     """
-    levels: list[NDArray] = []
+    finer: NDArray | None = None
     for height, width in sizes:
-        finer = levels[-1] if levels else None
         if pixel_filter.name == "box" and finer is not None and not (finer.shape[0] % height or finer.shape[1] % width):
-            levels.append(_mean_of_blocks(finer, (height, width)))
+            finer = _mean_of_blocks(finer, (height, width))
         else:
-            levels.append(filter_channels(image, (height, width), pixel_filter, wrap))
-    return levels
+            finer = filter_channels(image, (height, width), pixel_filter, wrap)
+        yield finer
+
+
+def filter_pyramid(
+    image: NDArray, sizes: Sequence[tuple[int, int]], pixel_filter: PixelFilter, wrap: str
+) -> list[NDArray]:
+    """All levels of ``iter_pyramid`` in a list."""
+    return list(iter_pyramid(image, sizes, pixel_filter, wrap))
 
 
 def _mean_of_blocks(image: NDArray, size: tuple[int, int]) -> NDArray:

@@ -1,0 +1,232 @@
+"""What the baselines share: stored channels filtered linearly under the pixel filter, then a formula for each level.
+
+Colours, occlusion and shape are averaged linearly by all of them. A baseline adds the channels that its tool stores
+and a formula from their averages to the level's normal and roughness.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.footprint import get_pixel_filter, iter_pyramid
+from brdffit.methods import BakeOptions, Level, Progress, Pyramid
+from brdffit.models import Model, get_model
+from brdffit.roughness import alpha_squared_from_perceptual, perceptual_from_log_tensor, tensor_from_log
+from brdffit.svbrdf import Svbrdf, level_sizes
+
+#: Averages of single-precision unit vectors are known to about this much of their squared length; a variance below
+#: it is rounding, and is taken off, or a flat mirror (alpha^2 = 4e-6) would come out dull.
+SINGLE_NOISE = 4.0 * float(np.finfo(np.float32).eps)
+
+#: Texels of a block of rows in work: its temporaries fit a core's cache.
+_BLOCK_TEXELS = 1 << 15
+
+_UP = np.array([0.0, 0.0, 1.0], dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class LevelContext:
+    """Where in the pyramid a level stands, and the bounds of its roughness.
+
+    Attributes:
+        mip_level: 0 is the finest.
+        chain_length: levels of the full chain down to 1x1, whatever number was asked for.
+        scale: base texels per texel of this level, (down, across).
+        wrap: "tile" or "clamp".
+        isotropic: whether the lobe must come out isotropic.
+        least_alpha_squared: roughness floor in alpha^2; the ceiling is alpha = 1.
+    """
+
+    mip_level: int
+    chain_length: int
+    scale: tuple[float, float]
+    wrap: str
+    isotropic: bool
+    least_alpha_squared: float
+
+
+class FilteringMethod:
+    """A Method that filters channels and finishes each level by a closed form; subclasses say which."""
+
+    name: str
+    summary: str
+    #: Whether the tool leaves level 0 as authored, whatever the options say.
+    leaves_level_0 = False
+
+    def channels(self, svbrdf: Svbrdf, notes: list[str]) -> dict[str, NDArray]:
+        """What is filtered beside the colours: (H, W, C) float32 arrays by name. May add sentences to ``notes``."""
+        raise NotImplementedError
+
+    def finish(self, filtered: Mapping[str, NDArray], context: LevelContext) -> tuple[NDArray, NDArray]:
+        """Unit normals and log roughness tensors, both (h, w, 3), of filtered channels; any block of rows."""
+        raise NotImplementedError
+
+    def finish_level(self, filtered: Mapping[str, NDArray], context: LevelContext) -> tuple[NDArray, NDArray]:
+        """``finish`` for a whole level, a block of rows at a time."""
+        height, width = next(iter(filtered.values())).shape[:2]
+        normal = np.empty((height, width, 3), dtype=np.float32)
+        log_roughness = np.empty_like(normal)
+        rows = max(1, _BLOCK_TEXELS // width)
+        for start in range(0, height, rows):
+            part = slice(start, start + rows)
+            block = {name: image[part] for name, image in filtered.items()}
+            normal[part], log_roughness[part] = self.finish(block, context)
+        return normal, log_roughness
+
+    def bake(self, svbrdf: Svbrdf, options: BakeOptions, progress: Progress | None = None) -> Pyramid:
+        """Bake ``svbrdf`` into a pyramid.
+
+        Raises:
+            brdffit.errors.InputError: when the method needs something that the SVBRDF lacks.
+            brdffit.errors.UnknownNameError: for an unknown model or pixel filter.
+        """
+        model, pixel_filter = get_model(options.model), get_pixel_filter(options.pixel_filter)
+        chain_length = len(level_sizes(svbrdf.size))
+        sizes = level_sizes(svbrdf.size, options.levels)
+        keeps_level_0 = options.keep_level_0 or self.leaves_level_0
+        notes: list[str] = []
+        levels: list[Level] = []
+        started = time.perf_counter()
+        if keeps_level_0:
+            levels.append(Level(_relabelled(svbrdf, model)))
+        own = self.channels(svbrdf, notes)
+        carried = _carried_channels(svbrdf, model)
+        pyramids = {
+            name: iter_pyramid(image, sizes[len(levels) :], pixel_filter, svbrdf.wrap)
+            for name, image in {**carried, **own}.items()
+        }
+        for mip_level, (height, width) in enumerate(sizes):
+            if mip_level == len(levels):
+                filtered = {name: next(pyramid) for name, pyramid in pyramids.items()}
+                context = LevelContext(
+                    mip_level=mip_level,
+                    chain_length=chain_length,
+                    scale=(svbrdf.size[0] / height, svbrdf.size[1] / width),
+                    wrap=svbrdf.wrap,
+                    isotropic=model.isotropic or options.lobe == "isotropic",
+                    least_alpha_squared=options.min_roughness**4,
+                )
+                normal, log_roughness = self.finish_level({name: filtered[name] for name in own}, context)
+                colours = {name: _in_range(name, filtered[name]) for name in carried}
+                level = Svbrdf(normal, log_roughness, model=model.name, wrap=svbrdf.wrap, **colours)
+                levels.append(Level(_relabelled(level, model)))
+            levels[mip_level].seconds = time.perf_counter() - started
+            started = time.perf_counter()
+            if progress is not None:
+                progress(mip_level, height * width, height * width)
+        return Pyramid(self.name, options, levels, notes)
+
+
+def _carried_channels(svbrdf: Svbrdf, model: Model) -> dict[str, NDArray]:
+    """What every tool averages as it stands."""
+    channels = {"specular": svbrdf.specular, "diffuse": svbrdf.diffuse}
+    if svbrdf.occlusion is not None:
+        channels["occlusion"] = svbrdf.occlusion[..., None]
+    if svbrdf.shape is not None and model.shape_bounds is not None:
+        channels["shape"] = svbrdf.shape[..., None]
+    return channels
+
+
+def _in_range(name: str, image: NDArray) -> NDArray:
+    """Colours without the negative values of Mitchell's rim; scalars as (h, w), occlusion in [0, 1]."""
+    if name in ("specular", "diffuse"):
+        return np.maximum(image, 0.0)
+    return np.clip(image[..., 0], 0.0, 1.0) if name == "occlusion" else image[..., 0]
+
+
+def _relabelled(svbrdf: Svbrdf, model: Model) -> Svbrdf:
+    """``svbrdf`` as a level of ``model``: with a shape where the model has one, and without the height."""
+    shape = None
+    if model.shape_bounds is not None:
+        default = np.full(svbrdf.size, model.default_shape, dtype=np.float32)
+        shape = default if svbrdf.shape is None else svbrdf.shape
+    return svbrdf.replace(model=model.name, shape=shape, height=None)
+
+
+def is_isotropic(svbrdf: Svbrdf) -> bool:
+    """Whether every lobe is exactly isotropic."""
+    log_tensor = svbrdf.log_roughness
+    return not log_tensor[..., 2].any() and np.array_equal(log_tensor[..., 0], log_tensor[..., 1])
+
+
+def roughness_channels(svbrdf: Svbrdf) -> NDArray:
+    """Perceptual roughness and, where lobes are anisotropic, the deviator of the log tensor: (H, W, 1 or 3).
+
+    Averaging these is what a tool does that averages a roughness map and an anisotropy map.
+    """
+    log_tensor = svbrdf.log_roughness
+    perceptual = perceptual_from_log_tensor(log_tensor)
+    if is_isotropic(svbrdf):
+        return perceptual[..., None]
+    half_difference = 0.5 * (log_tensor[..., 0] - log_tensor[..., 1])
+    return np.stack([perceptual, half_difference, log_tensor[..., 2]], axis=-1)
+
+
+def mean_alpha_squared(filtered: NDArray, context: LevelContext) -> NDArray:
+    """alpha^2 of the averaged perceptual roughness (filtered ``roughness_channels``), at or above the floor."""
+    return np.maximum(alpha_squared_from_perceptual(np.maximum(filtered[..., 0], 0.0)), context.least_alpha_squared)
+
+
+def log_tensor_of(alpha_squared: NDArray, filtered: NDArray, context: LevelContext) -> NDArray:
+    """Log tensor (..., 3) with sqrt(det) = ``alpha_squared`` and the averaged deviator of ``roughness_channels``.
+
+    Eigenvalues are held between the floor and 1.
+    """
+    mean = np.log(np.clip(alpha_squared, context.least_alpha_squared, 1.0))
+    if context.isotropic or filtered.shape[-1] == 1:
+        return np.stack([mean, mean, np.zeros_like(mean)], axis=-1)
+    half, off = filtered[..., 1], filtered[..., 2]
+    radius = np.hypot(half, off)
+    least = np.log(context.least_alpha_squared)
+    major, minor = np.clip(mean + radius, least, 0.0), np.clip(mean - radius, least, 0.0)
+    mean = 0.5 * (major + minor)
+    shrink = 0.5 * (major - minor) / np.where(radius > 0, radius, 1.0)
+    return np.stack([mean + shrink * half, mean - shrink * half, shrink * off], axis=-1)
+
+
+def log_of_bounded_tensor(tensor: NDArray, context: LevelContext) -> NDArray:
+    """Log tensor (..., 3) of Sigma (..., 3) as (XX, YY, XY), float64, eigenvalues held between the floor and 1.
+
+    Sigma may be indefinite (Mitchell's negative weights). An isotropic context takes the lobe of the same determinant.
+    """
+    mean, half = 0.5 * (tensor[..., 0] + tensor[..., 1]), 0.5 * (tensor[..., 0] - tensor[..., 1])
+    off = tensor[..., 2]
+    radius = np.sqrt(half * half + off * off)
+    major = np.log(np.clip(mean + radius, context.least_alpha_squared, 1.0))
+    minor = np.log(np.clip(mean - radius, context.least_alpha_squared, 1.0))
+    log_mean = 0.5 * (major + minor)
+    if context.isotropic:
+        return np.stack([log_mean, log_mean, np.zeros_like(log_mean)], axis=-1)
+    quotient = 0.5 * (major - minor) / np.where(radius > 0, radius, 1.0)
+    return np.stack([log_mean + quotient * half, log_mean - quotient * half, quotient * off], axis=-1)
+
+
+def unit_normal_and_length(mean_normal: NDArray) -> tuple[NDArray, NDArray]:
+    """Renormalised mean normals (..., 3) and their length r (...) in [0, 1], rounding taken off; z where r is 0."""
+    squared = np.einsum("...i,...i->...", mean_normal, mean_normal)
+    length = np.sqrt(squared)
+    some = length > 1e-6
+    normal = np.where(some[..., None], mean_normal / np.where(some, length, 1.0)[..., None], _UP)
+    variance = np.maximum(1.0 - squared - SINGLE_NOISE, 0.0)
+    return normal, np.sqrt(np.maximum(1.0 - variance, 0.0))
+
+
+def tensor_channels(svbrdf: Svbrdf) -> NDArray:
+    """The roughness tensor (H, W, 3) as (XX, YY, XY), or alpha^2 (H, W, 1) where every lobe is isotropic."""
+    if is_isotropic(svbrdf):
+        return np.exp(svbrdf.log_roughness[..., :1])
+    return tensor_from_log(svbrdf.log_roughness)
+
+
+def with_three_channels(tensor: NDArray) -> NDArray:
+    """Filtered ``tensor_channels`` as (..., 3) float64, a copy."""
+    if tensor.shape[-1] == 3:
+        return tensor.astype(np.float64)
+    out = np.zeros((*tensor.shape[:-1], 3))
+    out[..., :2] = tensor
+    return out
