@@ -7,7 +7,9 @@ returns an array all the same. Every call is followed by a look at the error, he
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -50,11 +52,7 @@ class ImageInfo:
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of the file's bytes, in hexadecimal."""
-        try:
-            with self.path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError as error:
-            raise InputError(f"'{self.path}' cannot be read: {error.strerror}.") from error
+        return file_sha256(self.path)
 
 
 @dataclass(frozen=True)
@@ -68,32 +66,49 @@ class Image(ImageInfo):
     pixels: NDArray[np.float32]
 
 
-def read_info(path: str | Path) -> ImageInfo:
-    """The header of an image file, without its pixels.
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal.
+
+    Raises:
+        InputError: when the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
+
+
+def read_info(path: str | Path, data: bytes | None = None) -> ImageInfo:
+    """The header of an image file, without its pixels; ``data`` are the bytes of an image embedded in ``path``.
 
     Raises:
         InputError: when the file is missing, empty, unreadable or no image.
     """
     path = Path(path)
-    reader, info = _open(path)
-    reader.close()
+    with _embedded(path, data) as file:
+        reader, info = _open(path, file)
+        reader.close()
     return info
 
 
-def read_image(path: str | Path) -> Image:
+def read_image(path: str | Path, data: bytes | None = None) -> Image:
     """Read the first subimage of a file at full resolution; alpha stays unassociated, colours stay undecoded.
+
+    ``data`` are the bytes of an image that is embedded in ``path``.
 
     Raises:
         InputError: when the file is missing, empty, unreadable, no image, or truncated (JPEG too).
     """
     path = Path(path)
-    reader, info = _open(path)
-    try:
-        pixels = reader.read_image(0, 0, 0, len(info.channels), oiio.FLOAT)
-        # A truncated JPEG returns an array: only the error tells.
-        problem = reader.geterror() if reader.has_error else ""
-    finally:
-        reader.close()
+    with _embedded(path, data) as file:
+        reader, info = _open(path, file)
+        try:
+            pixels = reader.read_image(0, 0, 0, len(info.channels), oiio.FLOAT)
+            # A truncated JPEG returns an array: only the error tells.
+            problem = reader.geterror() if reader.has_error else ""
+        finally:
+            reader.close()
     if pixels is None or problem:
         raise InputError(
             f"'{path}' is truncated or damaged ({_one_line(problem)}), expected {info.width}x{info.height} pixels."
@@ -178,7 +193,7 @@ def read_mip_exr(path: str | Path, channel_names: Sequence[str] | None = None) -
         InputError: as ``read_image``, and when a level cannot be read or a channel is missing.
     """
     path = Path(path)
-    reader, info = _open(path)
+    reader, info = _open(path, path)
     missing = [name for name in channel_names or () if name not in info.channels]
     if missing:
         reader.close()
@@ -199,13 +214,27 @@ def read_mip_exr(path: str | Path, channel_names: Sequence[str] | None = None) -
     return levels
 
 
-def _open(path: Path) -> tuple[oiio.ImageInput, ImageInfo]:
+@contextmanager
+def _embedded(path: Path, data: bytes | None) -> Iterator[Path]:
+    """The file to read: ``path``, or a temporary one with the embedded bytes (the bindings read files only)."""
+    if data is None:
+        yield path
+        return
+    suffix = ".jpg" if data[:2] == b"\xff\xd8" else ".webp" if data[8:12] == b"WEBP" else ".png"
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"embedded{suffix}"
+        file.write_bytes(data)
+        yield file
+
+
+def _open(path: Path, file: Path) -> tuple[oiio.ImageInput, ImageInfo]:
+    """Open ``file``; errors speak of ``path``."""
     try:
         if not path.exists():
             raise InputError(f"'{path}' does not exist, expected an image file.")
         if path.is_dir():
             raise InputError(f"'{path}' is a folder, expected an image file.")
-        if path.stat().st_size == 0:
+        if file.stat().st_size == 0:
             raise InputError(f"'{path}' is empty (0 bytes), expected an image file.")
         with path.open("rb"):
             pass
@@ -213,7 +242,7 @@ def _open(path: Path) -> tuple[oiio.ImageInput, ImageInfo]:
         raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
-    reader = oiio.ImageInput.open(str(path), config)
+    reader = oiio.ImageInput.open(str(file), config)
     if reader is None:
         raise InputError(f"'{path}' is not an image that can be read ({_one_line(oiio.geterror())}).")
     spec = reader.spec()

@@ -1,0 +1,269 @@
+"""From a texture set to the program's own terms: one map at a time is read, decoded, brought to size and let go."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError
+from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, log_tensor_from_perceptual
+from brdffit.svbrdf import Svbrdf
+from brdffit.textures import encoding
+from brdffit.textures.texture_set import Map, TextureSet, slopes_of_normals
+
+#: Reflectance of a dielectric at normal incidence (index of refraction 1.5).
+DIELECTRIC_F0 = 0.04
+#: What stands for a map that is missing.
+DEFAULT_BASE_COLOR, DEFAULT_ROUGHNESS = 0.5, 0.5
+#: Height between the values 0 and 1 of a height map nobody gave a scale for, as a share of the texture's longer side.
+DEFAULT_HEIGHT_SHARE = 0.05
+#: Correlation of a normal map's slopes with a height's gradient from which the height's scale is taken from them.
+_SCALE_AGREEMENT = 0.3
+#: The mean of a normal map's red and green where 0.5 was decoded from sRGB, or encoded to it.
+_SRGB_MEANS = {"decoded as": 0.2140, "encoded as": 0.7354}
+
+
+def to_svbrdf(
+    texture_set: TextureSet, *, min_roughness: float = DEFAULT_MIN_ROUGHNESS, model: str = "ggx"
+) -> Svbrdf:
+    """Decode a texture set; what was assumed, mended or clamped is added to ``texture_set.notes``.
+
+    Args:
+        texture_set: of ``read_texture_set``.
+        min_roughness: perceptual roughness floor, in (0, 1].
+        model: name of the lobe model the set was authored for.
+
+    Returns:
+        The SVBRDF at the size of the largest map; the height, if any, in texels.
+
+    Raises:
+        InputError: for a map that cannot be read or is not what its role says.
+    """
+    if not 0.0 < min_roughness <= 1.0:
+        raise InputError(f"The roughness floor is {min_roughness}, expected a perceptual roughness in (0, 1].")
+    normal, height = _normal_and_height(texture_set)
+    roughness = _roughness(texture_set, min_roughness)
+    specular, diffuse = _colours(texture_set)
+    occlusion = _scalar(texture_set, "ao")
+    if occlusion is not None:
+        strength = float(texture_set.factors.get("occlusion", 1.0))
+        occlusion = np.clip(1.0 + strength * (occlusion - 1.0), 0.0, 1.0)
+    size = texture_set.size
+    return Svbrdf(
+        normal=_full(normal, size),
+        log_roughness=_full(log_tensor_from_perceptual(roughness), size),
+        specular=_full(specular, size),
+        diffuse=_full(diffuse, size),
+        model=model,
+        wrap=texture_set.wrap,
+        occlusion=None if occlusion is None else _full(occlusion, size),
+        height=None if height is None else _full(height, size),
+    )
+
+
+def decode_normals(texture_set: TextureSet) -> NDArray:
+    """Vectors (h, w, 3) of the normal map at its own size: OpenGL, without the noise floor, not yet of unit length.
+
+    Raises:
+        InputError: when the map cannot be read or is no normal map.
+    """
+    named = texture_set.maps["normal"]
+    pixels, step = named.read()
+    if named.info.is_float and float(pixels.min()) < -0.01:
+        vectors = pixels[:, :, :3]  # stored signed, as some EXR are
+    else:
+        vectors = 2.0 * pixels[:, :, :3] - 1.0
+    if pixels.shape[2] == 1:
+        raise InputError(f"'{named.path}' has one channel, expected a normal map with two or three.")
+    # Two-channel PNGs are grey with alpha; block-compressed ones come back with a blue of zero or a constant.
+    two_channel = pixels.shape[2] == 2 or float(np.ptp(vectors[:, :, 2])) == 0.0
+    if two_channel and float(np.ptp(vectors[:, :, :2])) == 0.0 and pixels.shape[2] > 2:
+        two_channel = not 0.5 < float(np.linalg.norm(vectors[0, 0])) < 1.5  # a constant map keeps what it says
+    _check_normals(named, pixels, vectors, two_channel)
+    xy = encoding.subtract_noise_floor(vectors[:, :, :2], step, texture_set.wrap)
+    z = encoding.rebuild_z(xy) if two_channel else vectors[:, :, 2]
+    if two_channel:
+        texture_set.note(f"The normal map '{named.path.name}' has two channels: z is rebuilt from x and y.")
+    xy = xy * np.float32(texture_set.factors.get("normal", 1.0))
+    if texture_set.normal_y == "dx":
+        xy[:, :, 1] *= -1.0
+    return np.concatenate([xy, z[:, :, None]], axis=2)
+
+
+def _check_normals(named: Map, pixels: NDArray, vectors: NDArray, two_channel: bool) -> None:
+    """Refuse what is not a tangent-space normal map, by its mean."""
+    red, green = (float(pixels[:, :, k].mean(dtype=np.float64)) for k in range(2))
+    blue = 1.0 if two_channel else float(pixels[:, :, 2].mean(dtype=np.float64))
+    for how, value in _SRGB_MEANS.items():
+        if abs(red - value) < 0.04 and abs(green - value) < 0.04 and blue > 0.7:
+            raise InputError(
+                f"'{named.path}' looks like a normal map that was {how} sRGB (red and green have the means {red:.2f} and "
+                f"{green:.2f}), expected linear data with means near 0.50."
+            )
+    mean = vectors.reshape(-1, vectors.shape[2]).mean(axis=0, dtype=np.float64)
+    z = float(encoding.rebuild_z(vectors[:, :, :2]).mean()) if two_channel else float(mean[2])
+    across = float(np.hypot(mean[0], mean[1]))
+    all_zero = not two_channel and float(np.abs(vectors).max()) < encoding.ZERO_LENGTH
+    if (z < 0.25 or across > z) and not all_zero:
+        tilt = float(np.degrees(np.arctan2(across, z)))
+        raise InputError(
+            f"'{named.path}' is not a tangent-space normal map: its mean vector is ({mean[0]:.2f}, {mean[1]:.2f}, "
+            f"{z:.2f}), {tilt:.0f} degrees from z, expected one near (0, 0, 1)."
+        )
+
+
+def _normal_and_height(texture_set: TextureSet) -> tuple[NDArray, NDArray | None]:
+    named = texture_set.maps.get("height")
+    height = None if named is None else _values(texture_set, named)
+    vectors = decode_normals(texture_set) if "normal" in texture_set.maps else None
+    if height is not None:
+        height = np.float32(_height_scale(texture_set, height, vectors)) * height
+    if vectors is None:
+        assert height is not None
+        # A height in texels of the full size, on a grid of its own: its texels may be larger.
+        per_texel = np.float32(height.shape[0] / texture_set.size[0])
+        gradient = encoding.height_gradient(height, texture_set.wrap) * per_texel
+        vectors = encoding.normals_from_gradient(gradient)
+        texture_set.note("There is no normal map: the normals are made from the slopes of the height map.")
+        file = texture_set.maps["height"].path.name
+    else:
+        file = texture_set.maps["normal"].path.name
+    normals, counts = encoding.unit_normals(vectors)
+    total = normals.shape[0] * normals.shape[1]
+    if counts["zero"]:
+        texture_set.note(f"'{file}' has {counts['zero']} vectors of no length in {total} texels: they point along z.")
+    if counts["horizon"]:
+        texture_set.note(
+            f"'{file}' has {counts['horizon']} normals at or below the horizon in {total} texels: they are lifted to it."
+        )
+    if normals.shape[:2] != texture_set.size and normals.shape[:2] != (1, 1):
+        normals, _ = encoding.unit_normals(encoding.resample(normals, texture_set.size, texture_set.wrap))
+    if height is not None:
+        height = encoding.resample(height, texture_set.size, texture_set.wrap)
+    return normals, height
+
+
+def _height_scale(texture_set: TextureSet, height: NDArray, vectors: NDArray | None) -> float:
+    """Texels (of the full size) between the height values 0 and 1: given, from the normal map's slopes, or a share."""
+    if texture_set.height_scale is not None:
+        return texture_set.height_scale
+    default = DEFAULT_HEIGHT_SHARE * max(texture_set.size)
+    if vectors is not None and vectors.shape[:2] == height.shape:
+        scale = scale_from_slopes(height, vectors, texture_set.wrap)
+        if scale is not None:
+            scale *= texture_set.size[0] / height.shape[0]
+            texture_set.note(f"The height map spans {scale:.1f} texels, the scale at which it fits the normal map's slopes.")
+            return scale
+    texture_set.note(
+        f"The height map is taken to span {default:.1f} texels ({DEFAULT_HEIGHT_SHARE:.0%} of the longer side); give "
+        f"height-scale if it does not."
+    )
+    return default
+
+
+def scale_from_slopes(height: NDArray, vectors: NDArray, wrap: str) -> float | None:
+    """Factor of ``height`` (H, W) at which its gradient best fits the slopes of normals (H, W, 3); None if none does.
+
+    Both are averaged over blocks of texels first: the noise of an 8-bit height would bias the regression towards zero.
+    """
+    slope = slopes_of_normals(0.5 * vectors + 0.5)
+    block = 1 if min(height.shape) < 32 else 4
+    gradient = encoding.height_gradient(_blocks(height, block), wrap)[1:-1, 1:-1] / block
+    slope = _blocks(slope, block)[1:-1, 1:-1]
+    power = float(np.square(gradient).sum(dtype=np.float64))
+    norm = power * float(np.square(slope).sum(dtype=np.float64))
+    cross = float((gradient * slope).sum(dtype=np.float64))
+    if norm <= 0.0 or cross < _SCALE_AGREEMENT * norm**0.5:
+        return None
+    return cross / power
+
+
+def _blocks(array: NDArray, block: int) -> NDArray:
+    rows, columns = array.shape[0] // block, array.shape[1] // block
+    cut = array[: rows * block, : columns * block]
+    return cut.reshape(rows, block, columns, block, *array.shape[2:]).mean(axis=(1, 3))
+
+
+def _roughness(texture_set: TextureSet, min_roughness: float) -> NDArray:
+    factors = texture_set.factors
+    roughness = _scalar(texture_set, "roughness")
+    if roughness is not None:
+        roughness = roughness * np.float32(factors.get("roughness", 1.0))
+    elif (gloss := _scalar(texture_set, "gloss")) is not None:
+        roughness = 1.0 - gloss * np.float32(factors.get("gloss", 1.0))
+    else:
+        value = float(factors.get("roughness", DEFAULT_ROUGHNESS))
+        if "roughness" not in factors:
+            texture_set.note(f"There is no roughness or gloss map: a perceptual roughness of {value} is assumed.")
+        roughness = np.full((1, 1), value, dtype=np.float32)
+    low = float(np.mean(roughness < min_roughness))
+    if low > 0.0:
+        texture_set.note(f"The roughness floor of {min_roughness} raised {low:.1%} of the texels.")
+    return np.clip(roughness, np.float32(min_roughness), 1.0)
+
+
+def _colours(texture_set: TextureSet) -> tuple[NDArray, NDArray]:
+    """Linear specular and diffuse colours, (h, w, 3), of the metallic or of the specular workflow."""
+    factors = texture_set.factors
+    base = _colour(texture_set, "base_color")
+    if base is None:
+        base = np.full((1, 1, 3), 1.0 if "base_color" in factors else DEFAULT_BASE_COLOR, dtype=np.float32)
+        if "base_color" not in factors:
+            texture_set.note(f"There is no base colour map: a grey of {DEFAULT_BASE_COLOR} (linear) is assumed.")
+    base = base * np.asarray(factors.get("base_color", 1.0), dtype=np.float32)
+    metallic = _scalar(texture_set, "metallic")
+    if metallic is not None:
+        metallic = metallic * np.float32(factors.get("metallic", 1.0))
+    elif "metallic" in factors:
+        metallic = np.full((1, 1), float(factors["metallic"]), dtype=np.float32)
+    specular_factor = np.asarray(factors.get("specular", 1.0), dtype=np.float32)
+    if metallic is None and ("specular" in texture_set.maps or "specular" in factors):
+        specular = _colour(texture_set, "specular")
+        return (np.ones((1, 1, 3), np.float32) if specular is None else specular) * specular_factor, base
+    f0: NDArray | np.float32 = np.float32(DIELECTRIC_F0)
+    if "specular" in texture_set.maps:
+        # Beside a metallic map a specular map is the engines' scale of a dielectric: 0.5 is an F0 of 0.04.
+        scale = _scalar(texture_set, "specular")
+        assert scale is not None
+        f0 = (2.0 * DIELECTRIC_F0 * scale).astype(np.float32)[:, :, None]
+        texture_set.note("Beside a metallic map the specular map is read as the scale of a dielectric's F0 (0.08 at 1).")
+    if metallic is None:
+        shape = np.broadcast_shapes(base.shape, np.shape(f0) or (1, 1, 1))
+        return np.broadcast_to(f0, shape), base
+    metallic = np.clip(metallic, 0.0, 1.0)[:, :, None]
+    return f0 * (1.0 - metallic) + base * metallic, base * (1.0 - metallic)
+
+
+def _colour(texture_set: TextureSet, role: str) -> NDArray | None:
+    """Linear (H, W, 3) of a colour map at full size, or at one texel; integers are sRGB, floats are linear."""
+    named = texture_set.maps.get(role)
+    if named is None:
+        return None
+    pixels, _ = named.read()
+    pixels = np.repeat(pixels[:, :, :1], 3, axis=2) if pixels.shape[2] < 3 else pixels[:, :, :3]
+    linear = np.maximum(pixels, 0.0) if named.info.is_float else encoding.linear_from_srgb(pixels)
+    return _enlarge(texture_set, linear)
+
+
+def _scalar(texture_set: TextureSet, role: str) -> NDArray | None:
+    """(H, W) in [0, 1] of a map of one quantity at full size, or at one texel."""
+    named = texture_set.maps.get(role)
+    return None if named is None else _enlarge(texture_set, np.clip(_values(texture_set, named), 0.0, 1.0))
+
+
+def _values(texture_set: TextureSet, named: Map) -> NDArray:
+    pixels, _ = named.read()
+    values, taken = encoding.scalar_channel(pixels, named.channel, named.role)
+    if taken and not named.channel:
+        names = {"R": "red", "G": "green", "B": "blue"}
+        texture_set.note(f"The colours of '{named.path.name}' differ: its {named.role} is taken from {names[taken]}.")
+    return values
+
+
+def _enlarge(texture_set: TextureSet, array: NDArray) -> NDArray:
+    # One texel is broadcast at the end, not enlarged before.
+    return array if array.shape[:2] == (1, 1) else encoding.resample(array, texture_set.size, texture_set.wrap)
+
+
+def _full(array: NDArray, size: tuple[int, int]) -> NDArray[np.float32]:
+    return np.ascontiguousarray(np.broadcast_to(array, (*size, *array.shape[2:])), dtype=np.float32)

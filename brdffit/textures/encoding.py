@@ -1,0 +1,175 @@
+"""From stored pixels to quantities: decoding by role, the noise floor of a normal map, resampling, slopes of a height.
+
+Noise floor. An integer normal map with code step q (2/255 at 8 bits) cannot tell a toggle of one code from a flat
+map; the variance of a 50/50 toggle is q^2 / 4 on each axis. Each texel has this much variance as a budget, and it is
+taken from the detail of a Haar pyramid of the decoded x and y, fine scales first: a map that only dithers between two
+neighbouring codes comes out flat at every scale, one with real slopes loses next to nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Code step of a channel that is decoded to [-1, 1], by bit depth.
+CODE_STEP = {8: 2.0 / 255.0, 16: 2.0 / 65535.0}
+#: Length below which a stored normal is no direction: (127, 127, 127) and (128, 128, 128) decode to 0.007.
+ZERO_LENGTH = 0.02
+#: Smallest z of a unit normal, one code step at 8 bits: what lies lower has no slope that can be told.
+MIN_NORMAL_Z = 2.0 / 255.0
+#: Headroom for rounding when the detail of a dithering map is compared with its budget.
+_ROUNDING = 1.0 + 1e-3
+
+
+def linear_from_srgb(encoded: NDArray) -> NDArray:
+    """Linear values of sRGB-encoded ones in [0, 1] (IEC 61966-2-1)."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def code_step(bits: int, is_float: bool) -> float:
+    """Code step q of a normal's component in [-1, 1]; 0 for float formats, which have no codes."""
+    return 0.0 if is_float else CODE_STEP.get(bits, 0.0)
+
+
+def scalar_channel(pixels: NDArray, channel: str, role: str) -> tuple[NDArray, str]:
+    """(H, W) of a map that holds one quantity, and the channel taken ("" when all colours are alike).
+
+    ``channel`` is "R", "G", "B", "A" or "" for the obvious one: where the colours of a grey map differ, roughness lies
+    in green and metallic in blue, as in glTF, and everything else in red.
+    """
+    count = pixels.shape[2]
+    if channel:
+        index = count - 1 if channel == "A" else "RGB".index(channel)
+        return pixels[:, :, min(index, count - 1)], channel
+    if count < 3 or (np.array_equal(pixels[..., 0], pixels[..., 1]) and np.array_equal(pixels[..., 0], pixels[..., 2])):
+        return pixels[:, :, 0], ""
+    # A JPEG's colours may differ by a rounding; only more than that is another quantity.
+    if max(float(np.abs(pixels[..., 0] - pixels[..., k]).max()) for k in (1, 2)) <= 3.0 / 255.0:
+        return pixels[:, :, 1], ""
+    taken = {"roughness": "G", "gloss": "G", "metallic": "B"}.get(role, "R")
+    return pixels[:, :, "RGB".index(taken)], taken
+
+
+def subtract_noise_floor(xy: NDArray, step: float, wrap: str) -> NDArray:
+    """Normal components (H, W, 2) in [-1, 1] without what their code step cannot tell from a flat map.
+
+    Args:
+        xy: decoded x and y, float32.
+        step: code step q; 0 returns ``xy`` as it is.
+        wrap: "tile" or "clamp".
+
+    The mean of each component stays; a map that comes out flat within q / 2 of zero comes out exactly zero.
+    """
+    if step <= 0.0:
+        return xy
+    means, gains = [np.moveaxis(np.asarray(xy, dtype=np.float32), 2, 0)], []
+    budget = np.full((1, 1, 1), 0.25 * step * step, dtype=np.float32)
+    while max(means[-1].shape[1:]) > 1:
+        level = means[-1]
+        coarse = _block_mean(level, wrap)
+        padded = _pad_even(level, wrap)
+        detail = _block_mean(np.square(padded - _repeat(coarse, padded.shape[1:])), wrap)
+        if budget.shape[1:] == (1, 1):
+            budget = np.broadcast_to(budget[:, :1, :1], (2, *level.shape[1:]))
+        budget = _block_mean(budget, wrap)
+        local_detail, local_budget = _mean_3x3(detail, wrap), _mean_3x3(budget, wrap)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left = (local_detail - _ROUNDING * local_budget) / local_detail
+        gains.append(np.sqrt(np.clip(np.nan_to_num(left, nan=0.0, neginf=0.0), 0.0, 1.0)))
+        budget = budget - np.minimum(detail, budget)
+        means.append(coarse)
+    out = means.pop()
+    for level, gain in zip(reversed(means), reversed(gains), strict=True):
+        size = level.shape[1:]
+        coarse = _repeat(_block_mean(level, wrap), size)
+        out = _repeat(out, size) + _repeat(gain, size) * (level - coarse)
+    for axis in range(2):
+        if float(np.ptp(out[axis])) < 1e-6 and abs(float(out[axis].flat[0])) <= 0.5 * step * _ROUNDING:
+            out[axis] = 0.0
+    return np.ascontiguousarray(np.moveaxis(out, 0, 2))
+
+
+def rebuild_z(xy: NDArray) -> NDArray:
+    """z (H, W) of unit normals from x and y (H, W, 2); 0 where x and y alone are longer than 1."""
+    return np.sqrt(np.maximum(0.0, 1.0 - np.square(xy).sum(axis=2)))
+
+
+def unit_normals(vectors: NDArray) -> tuple[NDArray, dict[str, int]]:
+    """Unit normals (H, W, 3) with z of at least ``MIN_NORMAL_Z``, and how many texels were "zero" or "horizon".
+
+    Vectors of no length become z; those at or below the horizon are lifted to it by turning them in their own azimuth.
+    """
+    vectors = np.asarray(vectors, dtype=np.float32)
+    length = np.sqrt(np.square(vectors).sum(axis=2))
+    zero = length < ZERO_LENGTH
+    normals = vectors / np.where(zero, 1.0, length)[:, :, None]
+    normals[zero] = (0.0, 0.0, 1.0)
+    low = normals[:, :, 2] < MIN_NORMAL_Z
+    if low.any():
+        level = normals[low]
+        across = np.hypot(level[:, 0], level[:, 1])
+        scale = np.sqrt(1.0 - MIN_NORMAL_Z**2) / np.maximum(across, 1e-12)
+        level[:, :2] *= scale[:, None]
+        level[:, 2] = MIN_NORMAL_Z
+        level[across < 1e-6] = (0.0, 0.0, 1.0)
+        normals[low] = level
+    return normals, {"zero": int(zero.sum()), "horizon": int(low.sum())}
+
+
+def height_gradient(height: NDArray, wrap: str) -> NDArray:
+    """(H, W, 2) derivatives (d/dx, d/dy with y up) of a height (H, W) per texel, by central differences."""
+    mode = "wrap" if wrap == "tile" else "edge"
+    padded = np.pad(height, 1, mode=mode)
+    across = padded[1:-1, 2:] - padded[1:-1, :-2]
+    up = padded[:-2, 1:-1] - padded[2:, 1:-1]
+    if wrap == "tile":
+        return 0.5 * np.stack([across, up], axis=2)
+    # At a clamped border the difference spans one texel only.
+    span_x, span_y = np.full(height.shape[1], 0.5, np.float32), np.full(height.shape[0], 0.5, np.float32)
+    span_x[[0, -1]], span_y[[0, -1]] = 1.0, 1.0
+    return np.stack([across * span_x, up * span_y[:, None]], axis=2)
+
+
+def normals_from_gradient(gradient: NDArray) -> NDArray:
+    """Unit normals (H, W, 3) of a surface z = h(x, y) with gradient (H, W, 2)."""
+    vectors = np.concatenate([-gradient, np.ones_like(gradient[:, :, :1])], axis=2)
+    return vectors / np.sqrt(np.square(vectors).sum(axis=2, keepdims=True))
+
+
+def resample(array: NDArray, size: tuple[int, int], wrap: str) -> NDArray:
+    """Bilinear enlargement of (h, w) or (h, w, C) to ``size`` (H, W), texel centres held, border by ``wrap``."""
+    for axis, target in enumerate(size):
+        count = array.shape[axis]
+        if count == target:
+            continue
+        position = (np.arange(target, dtype=np.float64) + 0.5) * count / target - 0.5
+        low = np.floor(position).astype(np.int64)
+        weight = (position - low).astype(np.float32)
+        weight = weight.reshape([-1 if k == axis else 1 for k in range(array.ndim)])
+        first, second = (low % count, (low + 1) % count) if wrap == "tile" else (low.clip(0), (low + 1).clip(0, count - 1))
+        array = np.take(array, first, axis) * (1.0 - weight) + np.take(array, second, axis) * weight
+    return array
+
+
+def _pad_even(array: NDArray, wrap: str) -> NDArray:
+    """(C, H, W) with sides padded to even; a side of one texel repeats itself."""
+    odd_y, odd_x = array.shape[1] % 2, array.shape[2] % 2
+    if not odd_y and not odd_x:
+        return array
+    return np.pad(array, ((0, 0), (0, odd_y), (0, odd_x)), mode="wrap" if wrap == "tile" else "edge")
+
+
+def _block_mean(array: NDArray, wrap: str) -> NDArray:
+    array = _pad_even(array, wrap)
+    rows = array[:, 0::2] + array[:, 1::2]
+    return 0.25 * (rows[:, :, 0::2] + rows[:, :, 1::2])
+
+
+def _mean_3x3(array: NDArray, wrap: str) -> NDArray:
+    padded = np.pad(array, ((0, 0), (1, 1), (1, 1)), mode="wrap" if wrap == "tile" else "edge")
+    rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
+    return (rows[:, :, :-2] + rows[:, :, 1:-1] + rows[:, :, 2:]) / 9.0
+
+
+def _repeat(array: NDArray, size: tuple[int, int]) -> NDArray:
+    return np.repeat(np.repeat(array, 2, axis=1), 2, axis=2)[:, : size[0], : size[1]]

@@ -1,0 +1,2 @@
+"""Material files."""
+SUFFIXES = (".gltf", ".glb", ".mtlx")

@@ -1,0 +1,341 @@
+"""A texture set as it lies on disk: images by role, their encodings and conventions. It knows nothing of lobes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError, UnknownNameError
+from brdffit.svbrdf import WRAPS
+from brdffit.textures import encoding
+from brdffit.textures.image_io import IMAGE_SUFFIXES, ImageInfo, file_sha256, read_image, read_info
+from brdffit.textures.naming import ROLES, NamedSet, old_cc0textures, packed_roles, roles_from_names
+
+NORMAL_YS = ("gl", "dx")
+#: Longest side of a map; more is taken for a damaged header.
+MAX_SIDE = 32768
+#: Agreement (a correlation) from which the evidence for a normal's Y is believed.
+_DECISIVE = 0.2
+#: Side of the crop on which the normal's Y is measured.
+_CROP = 1024
+
+
+@dataclass
+class Map:
+    """Where one role of a set comes from.
+
+    Attributes:
+        role: one of ``naming.ROLES``.
+        path: the image file, or the .glb or .gltf file that holds it.
+        channel: "" for all or the obvious one, else "R", "G", "B" or "A".
+        data: the image's bytes when it is embedded, else None.
+        word: the word of the file name that told the role, or "".
+    """
+
+    role: str
+    path: Path
+    channel: str = ""
+    data: bytes | None = None
+    word: str = ""
+
+    @cached_property
+    def info(self) -> ImageInfo:
+        """The image's header."""
+        return read_info(self.path, self.data)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) in texels."""
+        return self.info.height, self.info.width
+
+    def read(self) -> tuple[NDArray[np.float32], float]:
+        """Pixels (H, W, C) as stored, integers scaled to [0, 1], and the code step of a component in [-1, 1].
+
+        Raises:
+            InputError: when the file cannot be read or holds NaN or infinity.
+        """
+        image = read_image(self.path, self.data)
+        pixels = image.pixels
+        if image.is_float and not np.isfinite(pixels).all():
+            count = int((~np.isfinite(pixels)).any(axis=2).sum())
+            raise InputError(
+                f"'{self.path}' holds NaN or infinity in {count} of {image.width * image.height} texels, expected "
+                f"finite numbers as {self.role}."
+            )
+        bits = image.bits
+        if bits == 16 and not image.is_float and not (np.rint(pixels * 65535.0) % 257).any():
+            bits = 8  # eight bits in sixteen: the noise floor is that of the codes in use
+        return pixels, encoding.code_step(bits, image.is_float)
+
+
+@dataclass
+class TextureSet:
+    """Maps by role, with the conventions they follow.
+
+    Attributes:
+        name: of the input folder, or the stem of the .gltf, .glb or .mtlx file.
+        maps: one ``Map`` a role.
+        normal_y: "gl" (+Y up in the picture) or "dx" (+Y down).
+        normal_y_source: how ``normal_y`` is known: "given", "name", "convention", "height", "slopes" or "assumed".
+        wrap: "tile" or "clamp".
+        height_scale: texels between height values 0 and 1, or None to be derived.
+        factors: constants that multiply a map, or stand for it: "base_color" (3,), "metallic", "roughness",
+            "specular" (3,), "normal" (of x and y), "occlusion", "gloss".
+        ignored: image files that were not used.
+        notes: what was assumed or mended, one sentence each.
+        entry: the .gltf, .glb or .mtlx file the set was read from, or None.
+    """
+
+    name: str
+    maps: dict[str, Map]
+    normal_y: str = "gl"
+    normal_y_source: str = "assumed"
+    wrap: str = "tile"
+    height_scale: float | None = None
+    factors: dict[str, NDArray | float] = field(default_factory=dict)
+    ignored: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    entry: Path | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the largest map; the others are brought to it."""
+        return max((named.size for named in self.maps.values()), key=lambda size: size[0] * size[1])
+
+    @property
+    def inputs(self) -> list[tuple[Path, str]]:
+        """Every file that is used, and its SHA-256."""
+        paths = {named.path for named in self.maps.values()} | ({self.entry} if self.entry else set())
+        return [(path, file_sha256(path)) for path in sorted(paths)]
+
+    def note(self, sentence: str) -> None:
+        """Add a sentence, once."""
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+
+def read_texture_set(
+    path: str | os.PathLike[str],
+    *,
+    roles: Mapping[str, str] | None = None,
+    normal_y: str | None = None,
+    wrap: str = "tile",
+    height_scale: float | None = None,
+) -> TextureSet:
+    """Find the maps of a material and their conventions; pixels are read later, one map at a time.
+
+    Args:
+        path: a folder of images, or a .gltf, .glb or .mtlx file.
+        roles: file by role (relative to the folder), which wins over names; a role is one of ``naming.ROLES`` or a
+            packing such as "orm"; a file may end in ":R", ":G", ":B" or ":A" to name a channel.
+        normal_y: "gl" or "dx", which wins over names; None tells it from names, from the height map, or from the
+            slopes themselves (those of a surface have no curl), and says which.
+        wrap: "tile" or "clamp".
+        height_scale: texels between the height values 0 and 1; None derives it.
+
+    Raises:
+        InputError: when there is nothing to read, or what is there cannot belong together.
+        UnknownNameError: for an unknown role, ``normal_y`` or ``wrap``.
+    """
+    path = Path(path)
+    for kind, value, known in (("normal Y", normal_y, NORMAL_YS), ("wrap mode", wrap, WRAPS)):
+        if value is not None and value not in known:
+            raise UnknownNameError(kind, value, known)
+    if height_scale is not None and not (np.isfinite(height_scale) and height_scale > 0.0):
+        raise InputError(f"The height scale is {height_scale}, expected a positive number of texels.")
+    texture_set = _find_maps(path, dict(roles or {}))
+    texture_set.wrap, texture_set.height_scale = wrap, height_scale
+    _check_sizes(texture_set, path)
+    if "normal" not in texture_set.maps and "height" not in texture_set.maps:
+        found = ", ".join(f"{named.path.name} ({role})" for role, named in texture_set.maps.items()) or "no known role"
+        raise InputError(
+            f"'{path}' has no normal map and no height map (found: {found}), expected one of them; name it with an "
+            f"explicit role such as normal=FILE."
+        )
+    if "normal" in texture_set.maps:
+        _settle_normal_y(texture_set, normal_y)
+    return texture_set
+
+
+def _find_maps(path: Path, roles: dict[str, str]) -> TextureSet:
+    from brdffit.textures import materials
+
+    if not path.exists():
+        raise InputError(f"'{path}' does not exist, expected a folder of textures or a .gltf, .glb or .mtlx file.")
+    if path.is_file():
+        texture_set = materials.read_material(path)
+        texture_set.maps |= _explicit(path.parent, roles)
+        return texture_set
+    try:
+        names = sorted(entry.name for entry in os.scandir(path) if entry.is_file())
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
+    images = [name for name in names if name.lower().endswith(IMAGE_SUFFIXES)]
+    scenes = [name for name in names if name.lower().endswith(materials.SUFFIXES)]
+    if not images and not scenes and not roles:
+        what = f"{len(names)} files, none of them an image" if names else "nothing"
+        raise InputError(f"'{path}' holds {what}, expected a folder of textures such as Name_NormalGL.png.")
+    explicit = _explicit(path, roles)
+    infos = {name: _header(path / name) for name in images}
+    named = roles_from_names(images, [name for name, info in infos.items() if info and len(info.channels) in (2, 4)])
+    surface_named = {"normal", "height"} & (named.maps.keys() | explicit.keys())
+    if not surface_named and len(scenes) == 1:
+        texture_set = materials.read_material(path / scenes[0])
+        texture_set.name = path.resolve().name
+        texture_set.maps |= explicit
+        return texture_set
+    for role, files in named.rivals.items():
+        if role not in explicit:
+            raise InputError(
+                f"'{path}' holds maps of more than one material ({', '.join(files)} all claim {role}), expected one; "
+                f"name the maps with explicit roles such as {role}={files[0]}."
+            )
+    maps = {
+        role: Map(role, path / found.file, found.channel, word=found.word)
+        for role, found in named.maps.items()
+        if role not in explicit
+    }
+    used = {found.path.name for found in (*maps.values(), *explicit.values())}
+    texture_set = TextureSet(
+        name=path.resolve().name,
+        maps=dict(sorted((maps | explicit).items(), key=lambda item: ROLES.index(item[0]))),
+        ignored=[name for name in images if name not in used],
+        notes=list(named.notes),
+    )
+    _normal_y_from_names(texture_set, named)
+    return texture_set
+
+
+def _header(path: Path) -> ImageInfo | None:
+    """The header, or None where the file is no readable image: that is an error only once the file is used."""
+    try:
+        return read_info(path)
+    except InputError:
+        return None
+
+
+def _explicit(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
+    """Maps of an explicit map of roles."""
+    maps: dict[str, Map] = {}
+    for role, text in roles.items():
+        file, _, channel = text.rpartition(":")
+        if not file or channel.upper() not in ("R", "G", "B", "A"):
+            file, channel = text, ""
+        path = folder / file
+        packed = packed_roles(role)
+        if role in ROLES:
+            maps[role] = Map(role, path, channel.upper())
+        elif packed:
+            for name, letter in zip(packed, "RGBA", strict=False):
+                if name:
+                    maps[name] = Map(name, path, letter)
+        else:
+            raise UnknownNameError("role", role, (*ROLES, "orm", "arm", "rma"))
+    return maps
+
+
+def _normal_y_from_names(texture_set: TextureSet, named: NamedSet) -> None:
+    normal = named.maps.get("normal")
+    if normal is None or normal.file != texture_set.maps["normal"].path.name:
+        return
+    if normal.normal_y:
+        texture_set.normal_y, texture_set.normal_y_source = normal.normal_y, "name"
+    elif old_cc0textures(named):
+        texture_set.normal_y, texture_set.normal_y_source = "dx", "convention"
+        texture_set.note(
+            f"The normal map '{normal.file}' is read as DirectX (-Y), as the older CC0Textures are by their names."
+        )
+
+
+def _check_sizes(texture_set: TextureSet, path: Path) -> None:
+    """Refuse maps that cannot be brought to one size; a map of one texel goes with any other."""
+    if not texture_set.maps:
+        return
+    sizes = {}
+    for named in texture_set.maps.values():
+        height, width = sizes[named.path.name, id(named.data)] = named.size
+        if max(height, width) > MAX_SIDE:
+            raise InputError(f"'{named.path}' is {width}x{height} texels, expected at most {MAX_SIDE} a side.")
+    full_height, full_width = texture_set.size
+    for named in texture_set.maps.values():
+        height, width = named.size
+        if (height, width) == (1, 1):
+            continue
+        # One texel of rounding on the shorter way.
+        if abs(width - full_width * height / full_height) > 1.0 and abs(height - full_height * width / full_width) > 1.0:
+            raise InputError(
+                f"The maps of '{path}' cannot belong together: '{named.path.name}' is {width}x{height} where the largest "
+                f"map is {full_width}x{full_height}, expected the same proportions."
+            )
+    different = sorted({f"{w}x{h}" for h, w in sizes.values()})
+    if len(different) > 1:
+        texture_set.note(f"Maps of different sizes ({', '.join(different)}) are brought to {full_width}x{full_height}.")
+
+
+def _settle_normal_y(texture_set: TextureSet, normal_y: str | None) -> None:
+    """Decide the normal's Y where no name tells it: by the height map, by the slopes' curl, or assume OpenGL."""
+    if normal_y is not None:
+        texture_set.normal_y, texture_set.normal_y_source = normal_y, "given"
+        return
+    if texture_set.normal_y_source != "assumed":
+        return
+    file = texture_set.maps["normal"].path.name
+    agreement, evidence = normal_y_agreement(texture_set)
+    if abs(agreement) >= _DECISIVE:
+        texture_set.normal_y, texture_set.normal_y_source = ("gl" if agreement > 0.0 else "dx"), evidence
+        said = "OpenGL (+Y)" if agreement > 0.0 else "DirectX (-Y)"
+        why = "its slopes agree with the height map" if evidence == "height" else "its slopes then have the least curl"
+        texture_set.note(
+            f"The normal map '{file}' does not say whether it is OpenGL or DirectX: {said} is taken because {why} "
+            f"(correlation {abs(agreement):.2f})."
+        )
+    else:
+        texture_set.note(
+            f"The normal map '{file}' does not say whether it is OpenGL or DirectX, and its slopes do not tell: OpenGL "
+            f"(+Y) is assumed; give normal-y if it is not."
+        )
+
+
+def normal_y_agreement(texture_set: TextureSet) -> tuple[float, str]:
+    """Evidence for the normal's Y as stored: a correlation, positive for OpenGL, and "height" or "slopes".
+
+    With a height map: of the normal's y slope with the height's gradient. Without: of dm_x/dy with dm_y/dx, which are
+    equal on any surface (its slopes have no curl) and opposite where y is flipped.
+    """
+    normal = texture_set.maps["normal"]
+    pixels, step = normal.read()
+    slope = slopes_of_normals(pixels[:_CROP, :_CROP, :3])
+    height = texture_set.maps.get("height")
+    if height is not None and height.size == normal.size:
+        field_, _ = encoding.scalar_channel(height.read()[0], height.channel, "height")
+        up = encoding.height_gradient(field_[:_CROP, :_CROP], "clamp")[:, :, 1]
+        # A slope under a code step is no evidence; chrome's dither correlates with nothing.
+        if float(slope[:, :, 1].std()) > step and float(up.std()) > 0.0:
+            agreement = _correlation(slope[:, :, 1], up)
+            if abs(agreement) >= _DECISIVE:
+                return agreement, "height"
+    if min(slope.shape[:2]) < 4 or float(slope.std()) <= step:
+        return 0.0, "slopes"
+    along_x = encoding.height_gradient(slope[:, :, 0], "clamp")[1:-1, 1:-1, 1]
+    along_y = encoding.height_gradient(slope[:, :, 1], "clamp")[1:-1, 1:-1, 0]
+    return _correlation(along_x, along_y), "slopes"
+
+
+def slopes_of_normals(pixels: NDArray) -> NDArray:
+    """(H, W, 2) slopes (-x/z, -y/z) of stored normals in [0, 1] with 2 or 3 channels, z held from the horizon."""
+    xy = 2.0 * pixels[:, :, :2] - 1.0
+    constant = pixels.shape[2] < 3 or float(np.ptp(pixels[:, :, 2])) == 0.0
+    z = encoding.rebuild_z(xy) if constant else 2.0 * pixels[:, :, 2] - 1.0
+    return -xy / np.maximum(z, 0.1)[:, :, None]
+
+
+def _correlation(first: NDArray, second: NDArray) -> float:
+    first, second = first - first.mean(), second - second.mean()
+    norm = float(np.sqrt(np.square(first).sum(dtype=np.float64) * np.square(second).sum(dtype=np.float64)))
+    return float((first * second).sum(dtype=np.float64)) / norm if norm > 0.0 else 0.0
