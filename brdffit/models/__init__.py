@@ -1,0 +1,67 @@
+"""Lobe models: one file each, with its paper, its formula and its kernels.
+
+Every lobe here has the form ``D(h; n, Sigma) = K(s) / (pi sqrt(det Sigma)) * profile(q, C; s)`` with
+
+- ``q = x' Sigma^-1 x``, x the tangent-plane part of h in the frame of n (the rotation that takes z to n by the
+  shortest way),
+- ``C = (n.h)^2``,
+- ``s`` a shape parameter, where the model has one, and K(s) what it adds to the normalisation,
+
+so a model is a profile with its derivatives, and every loop is written once, elsewhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any
+
+from brdffit.errors import UnknownNameError
+
+
+@dataclass(frozen=True)
+class Model:
+    """A lobe model.
+
+    Attributes:
+        name: as on the command line.
+        summary: one line.
+        profile: kernel (q, C, s) -> value.
+        profile_gradient: kernel (q, C, s) -> value and its derivatives by q, C and s.
+        log_normalisation: kernel s -> (log K, d log K / d s).
+        shape_bounds: (low, default, high) of the shape parameter s, or None where there is none.
+        source: the paper.
+        isotropic: whether the model knows only one roughness; its fits hold the tensor isotropic.
+    """
+
+    name: str
+    summary: str
+    profile: Any
+    profile_gradient: Any
+    log_normalisation: Any
+    source: str
+    shape_bounds: tuple[float, float, float] | None = None
+    isotropic: bool = False
+
+    @property
+    def default_shape(self) -> float:
+        """Shape parameter of a lobe that says nothing of it."""
+        return self.shape_bounds[1] if self.shape_bounds else 0.0
+
+
+def model_names() -> list[str]:
+    """Names of the installed models, the default first."""
+    names = sorted(point.name for point in entry_points(group="brdffit.models"))
+    return sorted(names, key=lambda name: name != "ggx")
+
+
+def get_model(name: str) -> Model:
+    """The model of this name.
+
+    Raises:
+        UnknownNameError: with the nearest known name.
+    """
+    for point in entry_points(group="brdffit.models"):
+        if point.name == name:
+            return point.load()
+    raise UnknownNameError("model", name, model_names())

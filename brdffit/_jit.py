@@ -1,0 +1,85 @@
+"""The one place that compiles: flags, the cache folder, and how a template becomes one kernel a model.
+
+A cached caller of Numba keeps using an edited callee of another module, silently. So the cache lives in a folder
+named after the hash of all kernel sources: an edit anywhere starts a fresh one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import types as python_types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+_KERNEL_ROOMS = ("models", "halfangle", "fitting")
+
+
+def _cache_folder() -> Path:
+    """Folder of compiled kernels: $NUMBA_CACHE_DIR or the user's cache, then the hash of every kernel source."""
+    root = Path(__file__).parent
+    digest = hashlib.sha256(Path(__file__).read_bytes())
+    for room in _KERNEL_ROOMS:
+        for source in sorted((root / room).glob("*.py")):
+            digest.update(source.name.encode() + source.read_bytes())
+    base = os.environ.get("BRDFFIT_CACHE") or os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "brdffit"
+    return folder / digest.hexdigest()[:16]
+
+
+# Numba reads the variable at import, so this must come first; the hash goes below whatever folder the user chose.
+os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
+
+import numba  # noqa: E402
+from numba import typeof as numba_type  # noqa: E402, F401
+from numba import types  # noqa: E402, F401  (kernel files take their type names from here)
+
+numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+
+#: Reassociation and contraction give the full speed; nnan and ninf stay out, so that isfinite keeps its meaning.
+_FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
+_FLAGS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": _FASTMATH, "error_model": "numpy"}
+
+
+def kernel(function: Callable) -> Any:
+    """Compile on first call; releases the GIL; cached on disk."""
+    return numba.njit(**_FLAGS)(function)
+
+
+def inline(function: Callable) -> Any:
+    """Scalar maths that is inlined into the loops that call it."""
+    return numba.njit(forceinline=True, **_FLAGS)(function)
+
+
+def specialise(template: Any, suffix: str, **bindings: Any) -> Any:
+    """A kernel with the code of ``template`` and some of its global names bound anew: one loop, many models.
+
+    Kernels that the template calls and that use a bound name themselves are specialised along. A closure would never
+    reach the disk cache; a function of its own, with a name of its own, does.
+    """
+    source = template.py_func
+    names = set(source.__code__.co_names)
+    new_globals = dict(source.__globals__)
+    new_globals.update(bindings)
+    for name in names - bindings.keys():
+        callee = new_globals.get(name)
+        if isinstance(callee, numba.core.dispatcher.Dispatcher) and _uses(callee, bindings.keys()):
+            new_globals[name] = specialise(callee, suffix, **bindings)
+    copy = python_types.FunctionType(source.__code__, new_globals, source.__name__ + suffix, source.__defaults__)
+    copy.__qualname__ = source.__qualname__ + suffix
+    copy.__module__ = source.__module__
+    flags = dict(_FLAGS)
+    if template.targetoptions.get("forceinline"):
+        flags["forceinline"] = True
+    return numba.njit(**flags)(copy)
+
+
+def _uses(callee: Any, names: Any) -> bool:
+    """Whether a kernel, or one it calls, refers to one of these global names."""
+    function = callee.py_func
+    if set(function.__code__.co_names) & set(names):
+        return True
+    called = (function.__globals__.get(name) for name in function.__code__.co_names)
+    return any(_uses(other, names) for other in called if isinstance(other, numba.core.dispatcher.Dispatcher))
+

@@ -1,0 +1,230 @@
+"""The compiled loop over texels, and what it needs of the models: kernels for one pair of source and target model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit._jit import kernel, numba_type, specialise, types
+from brdffit.fitting.bfgs import WORK
+from brdffit.fitting.status import CONVERGED, FALLBACK, FLAT, REFINED
+from brdffit.fitting.texel import DISAGREEMENT, EVALUATIONS, REPORT, RESIDUAL, Scratch, Search, fit_texel
+from brdffit.halfangle import objective, quadrature
+from brdffit.halfangle.apparent_lobe import Base, Strata
+from brdffit.models import Model
+
+
+class Output(NamedTuple):
+    """Arrays of a level that the loop fills; shapes as in ``Svbrdf`` and ``Level``."""
+
+    normal: NDArray
+    log_roughness: NDArray
+    specular: NDArray
+    diffuse: NDArray
+    shape: NDArray
+    status: NDArray
+    residual: NDArray
+    evaluations: NDArray
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One quadrature rule: strata of the footprint and nodes of the half-angle integral."""
+
+    strata: Strata
+    points: NDArray
+
+
+@kernel
+def diffuse_scale(moment, channel, n_x, n_y, n_z, exponent):
+    """Diffuse albedo of one channel that fits sum_i w_i d_i (n_i.l) by d (n.l) in L2 over the light directions.
+
+    d = g' G n / n' G n with g = sum_i w_i d_i n_i and G = E[l l'], diagonal: equal entries for uniform l (exponent 1),
+    (1, 1, 2) / 4 for cosine-distributed l. Horizon clipping of single normals is left out: it has no closed form and
+    matters only where normals lean over further than the light.
+    """
+    up = 2.0 if exponent == 3 else 1.0
+    g_x, g_y, g_z = moment[3 * channel], moment[3 * channel + 1], moment[3 * channel + 2]
+    return max((g_x * n_x + g_y * n_y + up * g_z * n_z) / (n_x * n_x + n_y * n_y + up * n_z * n_z), 0.0)
+
+
+@kernel
+def fit_rows(
+    base, strata, points, fine_strata, fine_points, columns, rows, search, scratch, fine_scratch, output,
+    tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
+):  # fmt: skip
+    """Fit the texels (columns[i], rows[i]) of a level into row i of the outputs (flattened over texels).
+
+    A texel whose two half rules disagree by more than ``search.trusted`` of its residual is done again with the fine
+    rule; one whose search fails, or whose result is not finite, gets its closed-form start.
+    """
+    moment = np.zeros(9)
+    report = np.zeros(REPORT)
+    first = np.zeros(REPORT)
+    for i in range(columns.size):
+        status = fit_texel(
+            base, strata, points, columns[i], rows[i], search, scratch, moment, report,
+            tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
+        )  # fmt: skip
+        theta = scratch.theta
+        evaluations = report[EVALUATIONS]
+        if status != FLAT and report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + 1e-5:
+            status = fit_texel(
+                base, fine_strata, fine_points, columns[i], rows[i], search, fine_scratch, moment, report,
+                tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
+            )  # fmt: skip
+            theta = fine_scratch.theta
+            evaluations += report[EVALUATIONS]
+            if status == CONVERGED:
+                status = REFINED
+        total = 0.0
+        for p in range(6):
+            total += theta[p]
+        if not math.isfinite(total + report[0] + report[1] + report[2]):
+            status = FALLBACK
+        if status == FALLBACK:
+            for p in range(6):
+                theta[p] = scratch.best[p]
+            for k in range(3):
+                report[k] = scratch.colour[k]
+        inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
+        n_x, n_y, n_z = -theta[0] * inverse, -theta[1] * inverse, inverse
+        output.normal[i, 0], output.normal[i, 1], output.normal[i, 2] = n_x, n_y, n_z
+        for k in range(3):
+            output.log_roughness[i, k] = theta[2 + k]
+            output.specular[i, k] = report[k]
+            if base.has_diffuse:
+                output.diffuse[i, k] = diffuse_scale(moment, k, n_x, n_y, n_z, search.exponent)
+        output.shape[i] = theta[5]
+        output.status[i] = status
+        output.residual[i] = report[RESIDUAL]
+        output.evaluations[i] = min(evaluations, 65535)
+
+
+class ModelKernels(NamedTuple):
+    """Kernels of one pair of models, in the order ``fit_rows`` takes them."""
+
+    tabulate: Any
+    moments: Any
+    values: Any
+    log_normalisation: Any
+    source_log_normalisation: Any
+
+
+@lru_cache(maxsize=None)
+def model_kernels(source: str, target: str, float_width: int = 32) -> ModelKernels:
+    """Specialise the loops for a source and a target model, in float32 or float64 sums."""
+    from brdffit.models import get_model
+
+    source_model, target_model = get_model(source), get_model(target)
+    real = np.float32 if float_width == 32 else np.float64
+    floats = types.float32 if float_width == 32 else types.float64
+    read, write = _suffix(source_model, float_width), _suffix(target_model, float_width)
+    kernels = ModelKernels(
+        tabulate=specialise(quadrature.tabulate, read, profile=source_model.profile, real=real),
+        moments=specialise(objective.moments, write, profile_gradient=target_model.profile_gradient, real=real),
+        values=specialise(objective.lobe_values, write, profile=target_model.profile, real=real),
+        log_normalisation=target_model.log_normalisation,
+        source_log_normalisation=source_model.log_normalisation,
+    )
+    _compile(kernels.log_normalisation, (types.float64,))
+    _compile(kernels.source_log_normalisation, (types.float64,))
+    _compile(kernels.tabulate, quadrature.tabulate_type(floats).signature.args)
+    _compile(kernels.moments, objective.moments_type(floats).signature.args)
+    _compile(kernels.values, objective.lobe_values_type(floats).signature.args)
+    return kernels
+
+
+def _compile(dispatcher: Any, arguments: tuple[Any, ...]) -> None:
+    """Compile (or load) one signature, so that the function can be handed over as a value of function type."""
+    if arguments not in dispatcher.overloads:
+        dispatcher.compile(arguments)
+
+
+def _suffix(model: Model, float_width: int) -> str:
+    return f"_{model.name.replace('-', '_')}_{float_width}"
+
+
+@lru_cache(maxsize=None)
+def fitting_kernel(float_width: int = 32) -> Any:
+    """``fit_rows`` for float32 or float64 sums.
+
+    Compiled for function-typed arguments: one compilation for all models, and it reaches the disk cache.
+    """
+    loop = fit_rows if float_width == 32 else specialise(fit_rows, "_64", real=np.float64)
+    floats = types.float32 if float_width == 32 else types.float64
+    data = [numba_type(value) for value in _example(float_width)]
+    normalisation = objective.log_normalisation_type
+    functions = [
+        quadrature.tabulate_type(floats),
+        objective.moments_type(floats),
+        objective.lobe_values_type(floats),
+        normalisation,
+        normalisation,
+    ]
+    _compile(loop, (*data, *functions))
+    loop.disable_compile()
+    return loop
+
+
+def _example(float_width: int) -> tuple[Any, ...]:
+    """Arguments of ``fit_rows`` up to the functions, for their types alone."""
+    image, plane, line = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32), np.zeros(1)
+    strata = Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0)
+    rule = Rule(strata, np.zeros((1, 4)))
+    base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, True)
+    search = Search(0, False, 3, 0.0, 0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0)
+    scratch = make_scratch(rule, float_width)
+    indices = np.zeros(1, np.int64)
+    return base, strata, rule.points, strata, rule.points, indices, indices, search, scratch, scratch, make_output(1)
+
+
+def make_scratch(rule: Rule, float_width: int = 32) -> Scratch:
+    """Scratch arrays for one worker and one rule."""
+    count, nodes = rule.strata.count, len(rule.points)
+    real = np.float32 if float_width == 32 else np.float64
+    return Scratch(
+        lobes=np.zeros((count, quadrature.LOBE_COLUMNS)),
+        nodes=np.zeros((quadrature.NODE_ROWS, nodes), real),
+        log_k=np.zeros(count),
+        values=np.zeros(nodes, real),
+        work=np.zeros(WORK),
+        setting=np.zeros(6),
+        theta=np.zeros(objective.PARAMETERS),
+        best=np.zeros(objective.PARAMETERS),
+        start=np.zeros(objective.PARAMETERS),
+        starts=np.zeros((8, objective.PARAMETERS + 1)),
+        colour=np.ones(3),
+    )
+
+
+def make_output(texels: int) -> Output:
+    """Output arrays of this many texels."""
+    return Output(
+        normal=np.zeros((texels, 3), np.float32),
+        log_roughness=np.zeros((texels, 3), np.float32),
+        specular=np.zeros((texels, 3), np.float32),
+        diffuse=np.zeros((texels, 3), np.float32),
+        shape=np.zeros(texels, np.float32),
+        status=np.zeros(texels, np.uint8),
+        residual=np.zeros(texels, np.float32),
+        evaluations=np.zeros(texels, np.uint16),
+    )
+
+
+def fit_texels(
+    base: Base, rule: Rule, fine_rule: Rule, columns: NDArray, rows: NDArray, search: Search, output: Output,
+    kernels: ModelKernels, float_width: int = 32,
+) -> None:  # fmt: skip
+    """Fit texels (columns[i], rows[i]) into ``output``; releases the GIL."""
+    fitting_kernel(float_width)(
+        base, rule.strata, rule.points, fine_rule.strata, fine_rule.points, columns, rows, search,
+        make_scratch(rule, float_width), make_scratch(fine_rule, float_width), output, *kernels,
+    )  # fmt: skip
+
+

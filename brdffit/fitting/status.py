@@ -1,0 +1,26 @@
+"""How the fit of a texel ended: failure is data."""
+
+from __future__ import annotations
+
+KEPT = 0
+FLAT = 1
+CONVERGED = 2
+REFINED = 3
+ITERATION_LIMIT = 4
+PRECISION_LIMIT = 5
+FALLBACK = 6
+NO_SPECULAR = 7
+
+#: Name and what it means, with advice where there is any; the index is what ``Level.status`` holds.
+STATUSES: tuple[tuple[str, str], ...] = (
+    ("kept", "The texel was left as authored."),
+    ("flat", "All lobes of the footprint are alike: the answer is exact and nothing was searched."),
+    ("converged", "The search converged."),
+    ("refined", "The quadrature's own error estimate was too large; more nodes were used and the search converged."),
+    ("iteration limit", "The search was stopped at its iteration limit; try --quality fine."),
+    ("precision limit", "No step lowered the error any more at the precision of the sums; as good as converged."),
+    ("fallback", "The search failed; the texel holds its closed-form start."),
+    ("no specular", "The footprint reflects nothing specularly; normal and roughness were fitted as if it were white."),
+)
+
+STATUS_NAMES = tuple(name for name, _ in STATUSES)

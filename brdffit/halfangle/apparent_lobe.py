@@ -1,0 +1,193 @@
+"""The base lobes that one footprint averages: samples of the bilinearly reconstructed base under the pixel filter.
+
+A renderer interpolates what the textures store: unit normals (then normalised), perceptual roughness (or the log tensor
+where the base is anisotropic) and linear colours. The footprint is cut into strata, one sample each; where strata are
+wider than texels the sample is jittered inside its stratum by a hash, so that no texel grid beats against the strata,
+and the result is the same on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit._jit import inline, kernel
+from brdffit.footprint import PixelFilter
+from brdffit.halfangle.quadrature import LOG_TENSOR, MIXTURE, SHAPE, SPECULAR
+from brdffit.roughness import perceptual_from_log_tensor
+from brdffit.svbrdf import Svbrdf
+
+
+class Base(NamedTuple):
+    """The base as kernels read it; arrays as in Svbrdf, ``perceptual`` (H, W) float32."""
+
+    normal: NDArray
+    perceptual: NDArray
+    log_roughness: NDArray
+    specular: NDArray
+    diffuse: NDArray
+    shape: NDArray
+    default_shape: float
+    isotropic: bool
+    has_diffuse: bool
+    has_shape: bool
+    tile: bool
+
+
+class Strata(NamedTuple):
+    """Where the samples of a level's footprints lie.
+
+    ``x`` and ``y``: stratum centres relative to the footprint's centre, in base texels; ``weight_x`` and ``weight_y``
+    sum to 1; ``jitter_x`` and ``jitter_y``: width of the jitter in base texels (0: none); ``scale_x`` and ``scale_y``:
+    base texels per texel of the level; ``seed`` tells levels apart.
+    """
+
+    x: NDArray
+    y: NDArray
+    weight_x: NDArray
+    weight_y: NDArray
+    jitter_x: float
+    jitter_y: float
+    scale_x: float
+    scale_y: float
+    seed: int
+
+    @property
+    def count(self) -> int:
+        """Samples of one footprint."""
+        return len(self.x) * len(self.y)
+
+
+def base_of(svbrdf: Svbrdf, default_shape: float = 0.0) -> Base:
+    """Pack an Svbrdf for the kernels (no array is copied unless its type differs)."""
+    log_roughness = np.ascontiguousarray(svbrdf.log_roughness, dtype=np.float32)
+    isotropic = bool(
+        np.array_equal(log_roughness[..., 0], log_roughness[..., 1]) and not np.any(log_roughness[..., 2])
+    )
+    none = np.zeros((1, 1), np.float32)
+    return Base(
+        normal=np.ascontiguousarray(svbrdf.normal, dtype=np.float32),
+        perceptual=perceptual_from_log_tensor(log_roughness) if isotropic else none,
+        log_roughness=log_roughness,
+        specular=np.ascontiguousarray(svbrdf.specular, dtype=np.float32),
+        diffuse=np.ascontiguousarray(svbrdf.diffuse, dtype=np.float32),
+        shape=none if svbrdf.shape is None else np.ascontiguousarray(svbrdf.shape, dtype=np.float32),
+        default_shape=default_shape,
+        isotropic=isotropic,
+        has_diffuse=bool(np.any(svbrdf.diffuse)),
+        has_shape=svbrdf.shape is not None,
+        tile=svbrdf.wrap == "tile",
+    )
+
+
+def strata(
+    pixel_filter: PixelFilter,
+    base_size: tuple[int, int],
+    level_size: tuple[int, int],
+    per_texel: int,
+    most: int,
+    seed: int,
+) -> Strata:
+    """Strata of a level's footprints: ``per_texel`` a base texel and axis, at most ``most`` an axis."""
+    axes = []
+    for base, level in zip(base_size, level_size, strict=True):
+        scale = base / level
+        width = 2.0 * pixel_filter.radius * scale
+        count = 1 if base == 1 else min(max(1, math.ceil(width * per_texel - 1e-9)), most)
+        offset = (np.arange(count) + 0.5) / count * width - 0.5 * width
+        weight = np.asarray(pixel_filter.weight(offset / scale), dtype=np.float64)
+        stratum = width / count
+        axes.append((offset, weight / weight.sum(), stratum if stratum > 1.0 else 0.0, scale))
+    (y, weight_y, jitter_y, scale_y), (x, weight_x, jitter_x, scale_x) = axes
+    return Strata(x, y, weight_x, weight_y, jitter_x, jitter_y, scale_x, scale_y, seed)
+
+
+@inline
+def _hash(a, b, c, d):
+    """A 32-bit mix of four integers (murmur3's finaliser over a linear combination)."""
+    h = np.uint32(a) * np.uint32(0x9E3779B1) ^ np.uint32(b) * np.uint32(0x85EBCA77)
+    h = h ^ np.uint32(c) * np.uint32(0xC2B2AE3D) ^ np.uint32(d) * np.uint32(0x27D4EB2F)
+    h = np.uint32(h ^ (h >> np.uint32(16))) * np.uint32(0x85EBCA6B)
+    h = np.uint32(h ^ (h >> np.uint32(13))) * np.uint32(0xC2B2AE35)
+    return np.uint32(h ^ (h >> np.uint32(16)))
+
+
+@inline
+def _index(i, size, tile):
+    """Texel index beyond the border: wrapped or clamped."""
+    if tile:
+        return i % size
+    return min(max(i, 0), size - 1)
+
+
+@kernel
+def gather_lobes(base, strata, column, row, lobes, diffuse_moment):
+    """Fill ``lobes`` with the footprint of texel (column, row) and return how many there are.
+
+    SPECULAR columns hold filter weight times colour, MIXTURE the filter weight alone (they sum to 1). ``diffuse_moment``
+    (9,) receives sum_i w_i d_ic n_i as (channel, axis).
+    """
+    height, width = base.normal.shape[0], base.normal.shape[1]
+    centre_x = (column + 0.5) * strata.scale_x - 0.5
+    centre_y = (row + 0.5) * strata.scale_y - 0.5
+    diffuse_moment[:] = 0.0
+    count = 0
+    for gy in range(strata.y.size):
+        for gx in range(strata.x.size):
+            x = centre_x + strata.x[gx]
+            y = centre_y + strata.y[gy]
+            if strata.jitter_x > 0.0 or strata.jitter_y > 0.0:
+                bits = _hash(strata.seed, row * 65536 + column, gy, gx)
+                x += strata.jitter_x * ((bits & np.uint32(0xFFFF)) / 65536.0 - 0.5)
+                y += strata.jitter_y * ((bits >> np.uint32(16)) / 65536.0 - 0.5)
+            x0, y0 = math.floor(x), math.floor(y)
+            fx, fy = x - x0, y - y0
+            i0, i1 = _index(int(x0), width, base.tile), _index(int(x0) + 1, width, base.tile)
+            j0, j1 = _index(int(y0), height, base.tile), _index(int(y0) + 1, height, base.tile)
+            w00, w10, w01, w11 = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+            n0 = _bilinear(base.normal, i0, i1, j0, j1, 0, w00, w10, w01, w11)
+            n1 = _bilinear(base.normal, i0, i1, j0, j1, 1, w00, w10, w01, w11)
+            n2 = _bilinear(base.normal, i0, i1, j0, j1, 2, w00, w10, w01, w11)
+            length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+            if length > 1e-6:
+                n0, n1, n2 = n0 / length, n1 / length, n2 / length
+            else:
+                n0, n1, n2 = 0.0, 0.0, 1.0
+            weight = strata.weight_x[gx] * strata.weight_y[gy]
+            lobes[count, 0], lobes[count, 1], lobes[count, 2] = n0, n1, n2
+            if base.isotropic:
+                r = w00 * base.perceptual[j0, i0] + w10 * base.perceptual[j0, i1]
+                r += w01 * base.perceptual[j1, i0] + w11 * base.perceptual[j1, i1]
+                lobes[count, LOG_TENSOR] = 4.0 * math.log(r)
+                lobes[count, LOG_TENSOR + 1] = lobes[count, LOG_TENSOR]
+                lobes[count, LOG_TENSOR + 2] = 0.0
+            else:
+                for k in range(3):
+                    lobes[count, LOG_TENSOR + k] = _bilinear(
+                        base.log_roughness, i0, i1, j0, j1, k, w00, w10, w01, w11
+                    )
+            lobes[count, SHAPE] = base.default_shape
+            if base.has_shape:
+                s = w00 * base.shape[j0, i0] + w10 * base.shape[j0, i1]
+                lobes[count, SHAPE] = s + w01 * base.shape[j1, i0] + w11 * base.shape[j1, i1]
+            for k in range(3):
+                colour = _bilinear(base.specular, i0, i1, j0, j1, k, w00, w10, w01, w11)
+                lobes[count, SPECULAR + k] = weight * colour
+            lobes[count, MIXTURE] = weight
+            if base.has_diffuse:
+                for k in range(3):
+                    d = weight * _bilinear(base.diffuse, i0, i1, j0, j1, k, w00, w10, w01, w11)
+                    diffuse_moment[3 * k] += d * n0
+                    diffuse_moment[3 * k + 1] += d * n1
+                    diffuse_moment[3 * k + 2] += d * n2
+            count += 1
+    return count
+
+
+@inline
+def _bilinear(image, i0, i1, j0, j1, k, w00, w10, w01, w11):
+    """One channel between four texels, in double precision."""
+    return w00 * image[j0, i0, k] + w10 * image[j0, i1, k] + w01 * image[j1, i0, k] + w11 * image[j1, i1, k]

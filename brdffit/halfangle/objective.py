@@ -1,0 +1,222 @@
+"""The error integral of one lobe against the table of a footprint, and its gradient.
+
+With nodes h_j, weights W_j and a scalar target S_j, the lobe D(theta) enters through two sums, TD = sum W S D and
+DD = sum W D^2, and the error relative to TT = sum_c sum W T_c^2 is
+
+- free scale (variable projection, Golub and Pereyra 1973): e = (TT - TD^2 / DD) / TT with S = k.T, k the unit vector
+  of the colour direction; the best scale is TD / DD;
+- held scale rho: e = (TT + |rho|^2 (DD - 2 TD)) / TT with S = rho.T / |rho|^2.
+
+Parameters theta = (m_x, m_y, a, b, c, s): slopes of the normal, log roughness tensor, shape.
+
+Gradient. Everything about the lobe enters through q and C (see brdffit.models). In the eigenbasis of log Sigma =
+V diag(l1, l2) V', with scaled coordinates u_i = exp(-l_i/2) v_i.x, q = u1^2 + u2^2, delta = (l1 - l2) / 2:
+
+- tensor: d exp(-L) in that basis is the divided difference of exp, so
+  dq = -sum_ij kappa_ij u_i u_j (V' dL V)_ij with kappa_11 = kappa_22 = 1, kappa_12 = sinh(delta) / delta;
+  d log amplitude = -(da + db) / 2.
+- normal: the frame turns by dR'R = [[0, w12, w13], [-w12, 0, w23], [-w13, -w23, 0]] with w13 = -t.dn, w23 = -b.dn,
+  w12 = dt.b, so with g = V'(w13, w23):
+  dq = -4 w12 sinh(delta) u1 u2 + 2 sum_i g_i exp(-l_i/2) u_i c,   dC = -2 sum_i g_i exp(l_i/2) u_i c.
+
+So one pass over the nodes gathers a few moments of (u1, u2, c), and the chain rule is done once, outside the loop.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from brdffit._jit import inline, kernel, types
+from brdffit.halfangle.frame import lobe_frame, tangent_frame
+from brdffit.halfangle.quadrature import H_X, H_Y, H_Z, WEIGHT
+from brdffit.models.ggx import profile, profile_gradient  # bound anew for other models
+
+real = np.float32
+
+PARAMETERS = 6
+MOMENTS = 18
+# The scalar target, times the weight, stands in the row that held the mixture density (no longer needed by then).
+TARGET = 6
+
+
+@kernel
+def moments(nodes, frame, shape, out):
+    """Sums over the nodes, for the target (out[0:9], weight W S) and the lobe itself (out[9:18], weight 2 W g):
+    value, then q-derivative times (u1 u1, u1 u2, u2 u2, u1 c, u2 c), C-derivative times (u1 c, u2 c), s-derivative.
+    out[9] is sum W g^2 (no factor 2).
+    """
+    h_x, h_y, h_z, weight, target = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT], nodes[TARGET]
+    u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
+    v_x, v_y, v_z = real(frame[3]), real(frame[4]), real(frame[5])
+    n_x, n_y, n_z = real(frame[6]), real(frame[7]), real(frame[8])
+    z = real(0.0)
+    t0, t1, t2, t3, t4, t5, t6, t7, t8 = z, z, z, z, z, z, z, z, z
+    d0, d1, d2, d3, d4, d5, d6, d7, d8 = z, z, z, z, z, z, z, z, z
+    for j in range(nodes.shape[1]):
+        u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
+        v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
+        c = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
+        g, g_q, g_C, g_s = profile_gradient(u * u + v * v, c * c, shape)
+        wd = weight[j] * g
+        t0 += target[j] * g
+        d0 += wd * g
+        wd = wd + wd
+        tq, dq = target[j] * g_q, wd * g_q
+        tC, dC = target[j] * g_C, wd * g_C
+        uu, uv, vv, uc, vc = u * u, u * v, v * v, u * c, v * c
+        t1 += tq * uu
+        t2 += tq * uv
+        t3 += tq * vv
+        t4 += tq * uc
+        t5 += tq * vc
+        t6 += tC * uc
+        t7 += tC * vc
+        t8 += target[j] * g_s
+        d1 += dq * uu
+        d2 += dq * uv
+        d3 += dq * vv
+        d4 += dq * uc
+        d5 += dq * vc
+        d6 += dC * uc
+        d7 += dC * vc
+        d8 += wd * g_s
+    out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7], out[8] = t0, t1, t2, t3, t4, t5, t6, t7, t8
+    out[9], out[10], out[11], out[12], out[13], out[14], out[15], out[16], out[17] = d0, d1, d2, d3, d4, d5, d6, d7, d8
+
+
+def moments_type(floats):  # type: ignore[no-untyped-def]
+    """Numba function type of ``moments`` on node arrays of this float type."""
+    f64 = types.float64
+    return types.FunctionType(types.void(floats[:, ::1], f64[::1], floats, f64[::1]))
+
+
+@kernel
+def lobe_values(theta, nodes, log_normalisation, values, work):
+    """D(h_j; theta) for every node into ``values`` (N,); ``work`` (16,) is scratch."""
+    frame = work[0:9]
+    inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
+    l1, l2, _, _ = lobe_frame(-theta[0] * inverse, -theta[1] * inverse, inverse, theta[2], theta[3], theta[4], frame)
+    amplitude = real(math.exp(log_normalisation(theta[5])[0] - 0.5 * (l1 + l2)) / math.pi)
+    shape = real(theta[5])
+    h_x, h_y, h_z = nodes[H_X], nodes[H_Y], nodes[H_Z]
+    u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
+    v_x, v_y, v_z = real(frame[3]), real(frame[4]), real(frame[5])
+    n_x, n_y, n_z = real(frame[6]), real(frame[7]), real(frame[8])
+    for j in range(nodes.shape[1]):
+        u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
+        v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
+        c = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
+        values[j] = amplitude * profile(u * u + v * v, c * c, shape)
+
+
+log_normalisation_type = types.FunctionType(types.UniTuple(types.float64, 2)(types.float64))
+
+
+def lobe_values_type(floats):  # type: ignore[no-untyped-def]
+    """Numba function type of ``lobe_values`` on node arrays of this float type."""
+    f64 = types.float64
+    return types.FunctionType(types.void(f64[::1], floats[:, ::1], log_normalisation_type, floats[::1], f64[::1]))
+
+
+@inline
+def _chain(m, p, amplitude, log_k_slope, rotation, eigen, gradient):
+    """Gradient of amplitude * sum(...) by theta from the nine moments m[p:p+9]; ``value_factor`` rides in m[p]."""
+    l1, l2, cos, sin = eigen
+    delta = 0.5 * (l1 - l2)
+    sinh = math.sinh(delta)
+    kappa = sinh / delta if delta > 1e-6 else 1.0
+    e1, e2 = math.exp(0.5 * l1), math.exp(0.5 * l2)
+    twist = -4.0 * sinh * m[p + 2]
+    along1 = 2.0 * (m[p + 4] / e1 - m[p + 6] * e1)
+    along2 = 2.0 * (m[p + 5] / e2 - m[p + 7] * e2)
+    for k in range(2):
+        w12, w13, w23 = rotation[3 * k], rotation[3 * k + 1], rotation[3 * k + 2]
+        g1, g2 = cos * w13 + sin * w23, cos * w23 - sin * w13
+        gradient[k] = amplitude * (twist * w12 + along1 * g1 + along2 * g2)
+    cs = cos * sin
+    cross = 2.0 * kappa * m[p + 2]
+    gradient[2] = -amplitude * (cos * cos * m[p + 1] - cs * cross + sin * sin * m[p + 3])
+    gradient[3] = -amplitude * (sin * sin * m[p + 1] + cs * cross + cos * cos * m[p + 3])
+    gradient[4] = -amplitude * (2.0 * cs * (m[p + 1] - m[p + 3]) + (cos * cos - sin * sin) * cross)
+    gradient[5] = amplitude * m[p + 8]
+
+
+@inline
+def frame_rotation(m_x, m_y, rotation):
+    """Fill ``rotation`` (6,) with (w12, w13, w23) of the frame's turn by d/dm_x and d/dm_y; returns the normal.
+
+    n = (-m_x, -m_y, 1) / s, dn = -e_k / s - n m_k / s^2 with s^2 = 1 + m^2. For the shortest-rotation frame
+    w12 = dt.b = (n_y dn_x - n_x dn_y) / (1 + n_z), the connection of the sphere seen from the pole.
+    """
+    s2 = 1.0 + m_x * m_x + m_y * m_y
+    inverse = 1.0 / math.sqrt(s2)
+    n_x, n_y, n_z = -m_x * inverse, -m_y * inverse, inverse
+    t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(n_x, n_y, n_z)
+    for k in range(2):
+        m = m_x if k == 0 else m_y
+        d_x = -n_x * m / s2 - (inverse if k == 0 else 0.0)
+        d_y = -n_y * m / s2 - (inverse if k == 1 else 0.0)
+        d_z = -n_z * m / s2
+        rotation[3 * k] = (n_y * d_x - n_x * d_y) / (1.0 + n_z)
+        rotation[3 * k + 1] = -(t_x * d_x + t_y * d_y + t_z * d_z)
+        rotation[3 * k + 2] = -(b_x * d_x + b_y * d_y + b_z * d_z)
+    return n_x, n_y, n_z
+
+
+# What an evaluation is told besides theta: [held (0 or 1), |rho|^2 / TT or 1 / TT, log eigenvalue low, high, s low, s high]
+HELD, SCALE, LOG_LOW, LOG_HIGH, SHAPE_LOW, SHAPE_HIGH = range(6)
+
+# Weight of the walls at the edge of the domain, in units of relative squared error per squared log alpha^2: a step of
+# 0.1 outside costs 0.02, as much as losing 17 dB costs; what is left outside is clamped after the fit.
+WALL = 2.0
+
+
+@kernel
+def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient, work):
+    """Relative squared error minus 1 (so that nothing cancels twice) and its gradient by theta.
+
+    ``gradient`` (6,) is written; ``work`` (48,) is scratch, of which work[0] and work[1] hold TD and DD on return.
+    Walls keep log eigenvalues and shape within their bounds.
+    """
+    rotation, frame, sums, other = work[2:8], work[8:17], work[17:35], work[35:41]
+    n_x, n_y, n_z = frame_rotation(theta[0], theta[1], rotation)
+    eigen = lobe_frame(n_x, n_y, n_z, theta[2], theta[3], theta[4], frame)
+    l1, l2, cos, sin = eigen
+    log_k, log_k_slope = log_normalisation(theta[5])
+    amplitude = math.exp(log_k - 0.5 * (l1 + l2)) / math.pi
+    moments_kernel(nodes, frame, real(theta[5]), sums)
+    td = amplitude * sums[0]
+    dd = amplitude * amplitude * sums[9]
+    work[0], work[1] = td, dd
+    _chain(sums, 0, amplitude, log_k_slope, rotation, eigen, gradient)
+    _chain(sums, 9, amplitude * amplitude, log_k_slope, rotation, eigen, other)
+    # The amplitude's own derivative: d log A = -(da + db)/2 + d log K.
+    for k in range(2, 4):
+        gradient[k] -= 0.5 * td
+        other[k] -= dd
+    gradient[5] += log_k_slope * td
+    other[5] += 2.0 * log_k_slope * dd
+    if not dd > 0.0:
+        value, by_td, by_dd = 0.0, 0.0, 0.0
+    elif setting[HELD] > 0.0:
+        value, by_td, by_dd = setting[SCALE] * (dd - 2.0 * td), -2.0 * setting[SCALE], setting[SCALE]
+    else:
+        rho = td / dd
+        value, by_td, by_dd = -setting[SCALE] * rho * td, -2.0 * setting[SCALE] * rho, setting[SCALE] * rho * rho
+    for k in range(PARAMETERS):
+        gradient[k] = by_td * gradient[k] + by_dd * other[k]
+    for i in range(2):
+        l = l1 if i == 0 else l2
+        outside = max(l - setting[LOG_HIGH], 0.0) - max(setting[LOG_LOW] - l, 0.0)
+        value += WALL * outside * outside
+        slope = 2.0 * WALL * outside
+        along, across = (cos, sin) if i == 0 else (-sin, cos)
+        gradient[2] += slope * along * along
+        gradient[3] += slope * across * across
+        gradient[4] += slope * 2.0 * along * across
+    outside = max(theta[5] - setting[SHAPE_HIGH], 0.0) - max(setting[SHAPE_LOW] - theta[5], 0.0)
+    value += WALL * outside * outside
+    gradient[5] += 2.0 * WALL * outside
+    return value

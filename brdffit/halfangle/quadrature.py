@@ -1,0 +1,177 @@
+"""Nodes and weights of the error integral, one set a footprint, and the table of the apparent lobe on them.
+
+All of <T,T>, <T,D> and <D,D> come from the same nodes h_j with the same weights W_j: the fit is a weighted linear
+least-squares problem in the lobe's value. Two things follow. Cauchy-Schwarz holds exactly, whatever the nodes, so the
+optimiser can find no hole where <T,D>^2 exceeds <T,T><D,D>. And where a lobe can represent the target, every rule finds
+it; elsewhere the error of the rule enters the result in second order, in proportion to the residual.
+
+Where the nodes stand is what makes the rule right for sharp and separated lobes: they are drawn from the mixture of
+the base lobes themselves,
+
+    p(h) = sum_i c_i D_i(h) (n_i.h),     sum_i c_i = 1,   D_i a GGX lobe of base texel i's tensor,
+
+by a three-dimensional low-discrepancy point set (which lobe; radius and angle in its frame), and weighted with the
+density of the *whole* mixture, W_j = w(h_j) / (N p(h_j)): the balance heuristic of multiple importance sampling (Veach
+and Guibas 1995). A node of a wide lobe that falls on a narrow peak counts there only as one of the many that the narrow
+lobe sends, so wide and sharp lobes in one footprint do not spoil each other. The GGX shape is kept for every model: its
+tails are the longest, so w / p stays bounded.
+
+Sampling D (n.h) of a GGX lobe: slopes s = Sigma^(1/2) r (cos f, sin f) with r^2 = u / (1 - u), u and f uniform.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit._jit import inline, kernel, types
+from brdffit.halfangle.density import half_angle_density
+from brdffit.halfangle.frame import eigen_log, lobe_frame, tangent_frame
+from brdffit.models.ggx import profile as ggx_profile
+from brdffit.models.ggx import profile  # bound anew for other source models
+
+real = np.float32
+
+# Columns of a lobe: normal, log tensor, shape, specular RGB, mixture weight, footprint weight times colour is formed
+# in the table.
+NORMAL, LOG_TENSOR, SHAPE, SPECULAR, MIXTURE = 0, 3, 6, 7, 10
+LOBE_COLUMNS = 11
+
+# Rows of a node array.
+H_X, H_Y, H_Z, RED, GREEN, BLUE, DENSITY, WEIGHT = range(8)
+NODE_ROWS = 8
+
+# Plastic number's reciprocals: the two-dimensional additive recurrence of lowest discrepancy known (Roberts 2018).
+_R2 = (0.7548776662466927, 0.5698402909980532)
+
+
+def lattice(nodes: int, shift: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> NDArray:
+    """(nodes, 4) float64: lobe coordinate in [0, 1), radius r, cos f, sin f of each node in a lobe's frame.
+
+    ``shift`` moves the point set (each entry in [0, 1)): an independent rule of the same size.
+    """
+    j = np.arange(nodes, dtype=np.float64)
+    choice = (j + shift[0]) / nodes
+    u = (shift[1] + _R2[0] * j) % 1.0
+    angle = 2.0 * np.pi * ((shift[2] + _R2[1] * j) % 1.0)
+    # The lobe's far tail (r > 100) is cut: no node there carries weight.
+    radius = np.sqrt(u / np.maximum(1.0 - u, 1e-4))
+    return np.stack([choice, radius, np.cos(angle), np.sin(angle)], axis=1)
+
+
+@kernel
+def place_nodes(lobes, count, points, exponent, nodes):
+    """Draw the nodes from the mixture of ``lobes[:count]``; their mixture weights must sum to 1.
+
+    Writes rows H_X, H_Y, H_Z of ``nodes`` (NODE_ROWS, N) and w(h) / N into WEIGHT (0 below the horizon); clears the
+    table rows.
+    """
+    size = points.shape[0]
+    i = 0
+    reached = lobes[0, MIXTURE]
+    prepared = -1
+    for j in range(size):
+        while reached <= points[j, 0] and i < count - 1:
+            i += 1
+            reached += lobes[i, MIXTURE]
+        if i != prepared:
+            n_x, n_y, n_z = lobes[i, 0], lobes[i, 1], lobes[i, 2]
+            t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(n_x, n_y, n_z)
+            l1, l2, cos, sin = eigen_log(lobes[i, 3], lobes[i, 4], lobes[i, 5])
+            e1 = math.exp(0.5 * l1)
+            e2 = math.exp(0.5 * l2)
+            prepared = i
+        s1 = e1 * points[j, 1] * points[j, 2]
+        s2 = e2 * points[j, 1] * points[j, 3]
+        x = cos * s1 - sin * s2
+        y = sin * s1 + cos * s2
+        scale = 1.0 / math.sqrt(1.0 + x * x + y * y)
+        h_z = scale * (x * t_z + y * b_z + n_z)
+        nodes[H_X, j] = scale * (x * t_x + y * b_x + n_x)
+        nodes[H_Y, j] = scale * (x * t_y + y * b_y + n_y)
+        nodes[H_Z, j] = h_z
+        nodes[WEIGHT, j] = half_angle_density(h_z, exponent) / size
+    for row in range(RED, DENSITY + 1):
+        for j in range(size):
+            nodes[row, j] = 0.0
+
+
+@inline
+def amplitude(l1, l2):
+    """1 / (pi sqrt(det Sigma)) of the eigenvalues of log Sigma."""
+    return math.exp(-0.5 * (l1 + l2)) / math.pi
+
+
+@kernel
+def tabulate(lobes, count, log_k, isotropic, nodes, frame):
+    """Add every base lobe to the table: T_c(h_j) and p(h_j).
+
+    ``lobes[:, SPECULAR:SPECULAR+3]`` must hold footprint weight times colour, ``log_k`` (count,) the log normalisation
+    of each shape. ``frame`` (9,) is scratch. Base lobes stop at their own horizon (n.h > 0).
+    """
+    size = nodes.shape[1]
+    h_x, h_y, h_z = nodes[H_X], nodes[H_Y], nodes[H_Z]
+    red, green, blue, density = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[DENSITY]
+    for i in range(count):
+        if isotropic:
+            scale = math.exp(-lobes[i, LOG_TENSOR]) / math.pi
+            inverse = real(math.exp(-lobes[i, LOG_TENSOR]))
+        else:
+            l1, l2, _, _ = lobe_frame(
+                lobes[i, 0], lobes[i, 1], lobes[i, 2], lobes[i, 3], lobes[i, 4], lobes[i, 5], frame
+            )
+            scale = amplitude(l1, l2)
+            inverse = real(0.0)
+        shape = lobes[i, SHAPE]
+        k = scale * math.exp(log_k[i])
+        a_red = real(k * lobes[i, SPECULAR])
+        a_green = real(k * lobes[i, SPECULAR + 1])
+        a_blue = real(k * lobes[i, SPECULAR + 2])
+        a_density = real(scale * lobes[i, MIXTURE])
+        n_x, n_y, n_z = real(lobes[i, 0]), real(lobes[i, 1]), real(lobes[i, 2])
+        if isotropic:
+            for j in range(size):
+                # sin^2 from the chord |h - n|: 1 - (n.h)^2 would cancel for sharp lobes.
+                d_x, d_y, d_z = h_x[j] - n_x, h_y[j] - n_y, h_z[j] - n_z
+                chord = d_x * d_x + d_y * d_y + d_z * d_z
+                sin2 = chord * (real(1.0) - real(0.25) * chord)
+                cos = real(1.0) - real(0.5) * chord
+                q = sin2 * inverse
+                C = real(1.0) - sin2
+                g = profile(q, C, shape) if cos > real(0.0) else real(0.0)
+                red[j] += a_red * g
+                green[j] += a_green * g
+                blue[j] += a_blue * g
+                density[j] += a_density * ggx_profile(q, C, shape) * max(cos, real(0.0))
+        else:
+            u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
+            v_x, v_y, v_z = real(frame[3]), real(frame[4]), real(frame[5])
+            for j in range(size):
+                u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
+                v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
+                cos = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
+                q = u * u + v * v
+                C = cos * cos
+                g = profile(q, C, shape) if cos > real(0.0) else real(0.0)
+                red[j] += a_red * g
+                green[j] += a_green * g
+                blue[j] += a_blue * g
+                density[j] += a_density * ggx_profile(q, C, shape) * max(cos, real(0.0))
+
+
+def tabulate_type(floats):  # type: ignore[no-untyped-def]
+    """Numba function type of ``tabulate`` on node arrays of this float type."""
+    f64 = types.float64
+    return types.FunctionType(
+        types.void(f64[:, ::1], types.int64, f64[::1], types.boolean, floats[:, ::1], f64[::1])
+    )
+
+
+@kernel
+def weigh_nodes(nodes):
+    """WEIGHT <- w / (N p) once the table is full. A node that no lobe reaches (p = 0) carries no weight."""
+    for j in range(nodes.shape[1]):
+        p = nodes[DENSITY, j]
+        nodes[WEIGHT, j] = nodes[WEIGHT, j] / p if p > 0.0 else 0.0
