@@ -9,7 +9,7 @@ from brdffit.errors import InputError
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures import encoding
-from brdffit.textures.texture_set import Map, TextureSet, slopes_of_normals
+from brdffit.textures.texture_set import Map, TextureSet
 
 #: Reflectance of a dielectric at normal incidence (index of refraction 1.5).
 DIELECTRIC_F0 = 0.04
@@ -23,9 +23,7 @@ _SCALE_AGREEMENT = 0.3
 _SRGB_MEANS = {"decoded as": 0.2140, "encoded as": 0.7354}
 
 
-def to_svbrdf(
-    texture_set: TextureSet, *, min_roughness: float = DEFAULT_MIN_ROUGHNESS, model: str = "ggx"
-) -> Svbrdf:
+def to_svbrdf(texture_set: TextureSet, *, min_roughness: float = DEFAULT_MIN_ROUGHNESS, model: str = "ggx") -> Svbrdf:
     """Decode a texture set; what was assumed, mended or clamped is added to ``texture_set.notes``.
 
     Args:
@@ -68,7 +66,7 @@ def decode_normals(texture_set: TextureSet) -> NDArray:
         InputError: when the map cannot be read or is no normal map.
     """
     named = texture_set.maps["normal"]
-    pixels, step = named.read()
+    pixels, noise = named.read()
     if named.info.is_float and float(pixels.min()) < -0.01:
         vectors = pixels[:, :, :3]  # stored signed, as some EXR are
     else:
@@ -80,7 +78,7 @@ def decode_normals(texture_set: TextureSet) -> NDArray:
     if two_channel and float(np.ptp(vectors[:, :, :2])) == 0.0 and pixels.shape[2] > 2:
         two_channel = not 0.5 < float(np.linalg.norm(vectors[0, 0])) < 1.5  # a constant map keeps what it says
     _check_normals(named, pixels, vectors, two_channel)
-    xy = encoding.subtract_noise_floor(vectors[:, :, :2], step, texture_set.wrap)
+    xy = encoding.subtract_noise_floor(vectors[:, :, :2], noise, texture_set.wrap)
     z = encoding.rebuild_z(xy) if two_channel else vectors[:, :, 2]
     if two_channel:
         texture_set.note(f"The normal map '{named.path.name}' has two channels: z is rebuilt from x and y.")
@@ -152,7 +150,9 @@ def _height_scale(texture_set: TextureSet, height: NDArray, vectors: NDArray | N
         scale = scale_from_slopes(height, vectors, texture_set.wrap)
         if scale is not None:
             scale *= texture_set.size[0] / height.shape[0]
-            texture_set.note(f"The height map spans {scale:.1f} texels, the scale at which it fits the normal map's slopes.")
+            texture_set.note(
+                f"The height map spans {scale:.1f} texels, the scale at which it fits the normal map's slopes."
+            )
             return scale
     texture_set.note(
         f"The height map is taken to span {default:.1f} texels ({DEFAULT_HEIGHT_SHARE:.0%} of the longer side); give "
@@ -166,7 +166,7 @@ def scale_from_slopes(height: NDArray, vectors: NDArray, wrap: str) -> float | N
 
     Both are averaged over blocks of texels first: the noise of an 8-bit height would bias the regression towards zero.
     """
-    slope = slopes_of_normals(0.5 * vectors + 0.5)
+    slope = encoding.slopes_of_normals(0.5 * vectors + 0.5)
     block = 1 if min(height.shape) < 32 else 4
     gradient = encoding.height_gradient(_blocks(height, block), wrap)[1:-1, 1:-1] / block
     slope = _blocks(slope, block)[1:-1, 1:-1]
@@ -196,9 +196,9 @@ def _roughness(texture_set: TextureSet, min_roughness: float) -> NDArray:
         if "roughness" not in factors:
             texture_set.note(f"There is no roughness or gloss map: a perceptual roughness of {value} is assumed.")
         roughness = np.full((1, 1), value, dtype=np.float32)
-    low = float(np.mean(roughness < min_roughness))
-    if low > 0.0:
-        texture_set.note(f"The roughness floor of {min_roughness} raised {low:.1%} of the texels.")
+    raised = int(np.count_nonzero(roughness < np.float32(min_roughness)))
+    if raised:
+        texture_set.note(f"The roughness floor of {min_roughness} raised {raised} of {roughness.size} texels.")
     return np.clip(roughness, np.float32(min_roughness), 1.0)
 
 
@@ -226,7 +226,9 @@ def _colours(texture_set: TextureSet) -> tuple[NDArray, NDArray]:
         scale = _scalar(texture_set, "specular")
         assert scale is not None
         f0 = (2.0 * DIELECTRIC_F0 * scale).astype(np.float32)[:, :, None]
-        texture_set.note("Beside a metallic map the specular map is read as the scale of a dielectric's F0 (0.08 at 1).")
+        texture_set.note(
+            "Beside a metallic map the specular map is read as the scale of a dielectric's F0 (0.08 at 1)."
+        )
     if metallic is None:
         shape = np.broadcast_shapes(base.shape, np.shape(f0) or (1, 1, 1))
         return np.broadcast_to(f0, shape), base

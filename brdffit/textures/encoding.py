@@ -3,16 +3,21 @@
 Noise floor. An integer normal map with code step q (2/255 at 8 bits) cannot tell a toggle of one code from a flat
 map; the variance of a 50/50 toggle is q^2 / 4 on each axis. Each texel has this much variance as a budget, and it is
 taken from the detail of a Haar pyramid of the decoded x and y, fine scales first: a map that only dithers between two
-neighbouring codes comes out flat at every scale, one with real slopes loses next to nothing.
+neighbouring codes comes out flat at every scale, one with real slopes loses next to nothing. A JPEG stores luma and
+chroma in whole codes, so that red and green move by more than a code when these toggle.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 #: Code step of a channel that is decoded to [-1, 1], by bit depth.
 CODE_STEP = {8: 2.0 / 255.0, 16: 2.0 / 65535.0}
+#: How far one code of Y, Cb, Cr moves red and green (ITU-T T.871).
+_JPEG_TO_RED, _JPEG_TO_GREEN = (1.0, 0.0, 1.402), (1.0, 0.344136, 0.714136)
 #: Length below which a stored normal is no direction: (127, 127, 127) and (128, 128, 128) decode to 0.007.
 ZERO_LENGTH = 0.02
 #: Smallest z of a unit normal, one code step at 8 bits: what lies lower has no slope that can be told.
@@ -26,9 +31,30 @@ def linear_from_srgb(encoded: NDArray) -> NDArray:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def code_step(bits: int, is_float: bool) -> float:
-    """Code step q of a normal's component in [-1, 1]; 0 for float formats, which have no codes."""
-    return 0.0 if is_float else CODE_STEP.get(bits, 0.0)
+@dataclass(frozen=True)
+class CodeNoise:
+    """What the codes of a normal map cannot tell from flat.
+
+    Attributes:
+        step: code step q of a component in [-1, 1]; 0 for float formats, which have no codes.
+        variance: of x and y when every stored code toggles, each on its own; the budget of a texel.
+        together: of x and y when luma and chroma toggle together; detail below this is noise altogether.
+    """
+
+    step: float
+    variance: tuple[float, float]
+    together: tuple[float, float]
+
+
+def code_noise(bits: int, is_float: bool, file_format: str) -> CodeNoise:
+    """The noise of a normal map stored with ``bits`` per channel; a JPEG's is that of its luma and chroma codes."""
+    step = 0.0 if is_float else CODE_STEP.get(bits, 0.0)
+    toggle = 0.25 * step * step
+    if file_format != "jpeg":
+        return CodeNoise(step, (toggle, toggle), (toggle, toggle))
+    red, green = np.array(_JPEG_TO_RED), np.array(_JPEG_TO_GREEN)
+    apart = (toggle * float(red @ red), toggle * float(green @ green))
+    return CodeNoise(step, apart, (toggle * float(red.sum()) ** 2, toggle * float(green.sum()) ** 2))
 
 
 def scalar_channel(pixels: NDArray, channel: str, role: str) -> tuple[NDArray, str]:
@@ -50,41 +76,39 @@ def scalar_channel(pixels: NDArray, channel: str, role: str) -> tuple[NDArray, s
     return pixels[:, :, "RGB".index(taken)], taken
 
 
-def subtract_noise_floor(xy: NDArray, step: float, wrap: str) -> NDArray:
-    """Normal components (H, W, 2) in [-1, 1] without what their code step cannot tell from a flat map.
+def subtract_noise_floor(xy: NDArray, noise: CodeNoise, wrap: str) -> NDArray:
+    """Normal components (H, W, 2) in [-1, 1] without what their codes cannot tell from a flat map.
 
     Args:
         xy: decoded x and y, float32.
-        step: code step q; 0 returns ``xy`` as it is.
+        noise: of ``code_noise``; without codes ``xy`` is returned as it is.
         wrap: "tile" or "clamp".
 
     The mean of each component stays; a map that comes out flat within q / 2 of zero comes out exactly zero.
     """
-    if step <= 0.0:
+    if noise.step <= 0.0:
         return xy
-    means, gains = [np.moveaxis(np.asarray(xy, dtype=np.float32), 2, 0)], []
-    budget = np.full((1, 1, 1), 0.25 * step * step, dtype=np.float32)
+    means, gains = [np.ascontiguousarray(np.moveaxis(np.asarray(xy, dtype=np.float32), 2, 0))], []
+    budget = np.broadcast_to(np.array(noise.variance, np.float32)[:, None, None], means[0].shape)
+    threshold = _ROUNDING * np.array([t / v for t, v in zip(noise.together, noise.variance, strict=True)], np.float32)
     while max(means[-1].shape[1:]) > 1:
-        level = means[-1]
-        coarse = _block_mean(level, wrap)
-        padded = _pad_even(level, wrap)
-        detail = _block_mean(np.square(padded - _repeat(coarse, padded.shape[1:])), wrap)
-        if budget.shape[1:] == (1, 1):
-            budget = np.broadcast_to(budget[:, :1, :1], (2, *level.shape[1:]))
-        budget = _block_mean(budget, wrap)
+        level = _pad_even(means[-1], wrap)
+        coarse = _block_mean(level)
+        # Not E[x^2] - E[x]^2: at 16 bits the noise lies below the rounding of that difference.
+        detail = _block_mean(np.square(level - _repeat(coarse, level.shape[1:])))
+        budget = _block_mean(_pad_even(budget, wrap))
         local_detail, local_budget = _mean_3x3(detail, wrap), _mean_3x3(budget, wrap)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            left = (local_detail - _ROUNDING * local_budget) / local_detail
-        gains.append(np.sqrt(np.clip(np.nan_to_num(left, nan=0.0, neginf=0.0), 0.0, 1.0)))
+        kept = local_detail > threshold[:, None, None] * local_budget
+        gains.append(np.sqrt(np.where(kept, 1.0 - local_budget / np.where(kept, local_detail, 1.0), 0.0)))
         budget = budget - np.minimum(detail, budget)
         means.append(coarse)
     out = means.pop()
     for level, gain in zip(reversed(means), reversed(gains), strict=True):
         size = level.shape[1:]
-        coarse = _repeat(_block_mean(level, wrap), size)
+        coarse = _repeat(_block_mean(_pad_even(level, wrap)), size)
         out = _repeat(out, size) + _repeat(gain, size) * (level - coarse)
     for axis in range(2):
-        if float(np.ptp(out[axis])) < 1e-6 and abs(float(out[axis].flat[0])) <= 0.5 * step * _ROUNDING:
+        if float(np.ptp(out[axis])) < 1e-6 and abs(float(out[axis].flat[0])) <= 0.5 * noise.step * _ROUNDING:
             out[axis] = 0.0
     return np.ascontiguousarray(np.moveaxis(out, 0, 2))
 
@@ -92,6 +116,14 @@ def subtract_noise_floor(xy: NDArray, step: float, wrap: str) -> NDArray:
 def rebuild_z(xy: NDArray) -> NDArray:
     """z (H, W) of unit normals from x and y (H, W, 2); 0 where x and y alone are longer than 1."""
     return np.sqrt(np.maximum(0.0, 1.0 - np.square(xy).sum(axis=2)))
+
+
+def slopes_of_normals(pixels: NDArray) -> NDArray:
+    """(H, W, 2) slopes (-x/z, -y/z) of stored normals in [0, 1] with 2 or 3 channels, z held from the horizon."""
+    xy = 2.0 * pixels[:, :, :2] - 1.0
+    constant = pixels.shape[2] < 3 or float(np.ptp(pixels[:, :, 2])) == 0.0
+    z = rebuild_z(xy) if constant else 2.0 * pixels[:, :, 2] - 1.0
+    return -xy / np.maximum(z, 0.1)[:, :, None]
 
 
 def unit_normals(vectors: NDArray) -> tuple[NDArray, dict[str, int]]:
@@ -118,8 +150,7 @@ def unit_normals(vectors: NDArray) -> tuple[NDArray, dict[str, int]]:
 
 def height_gradient(height: NDArray, wrap: str) -> NDArray:
     """(H, W, 2) derivatives (d/dx, d/dy with y up) of a height (H, W) per texel, by central differences."""
-    mode = "wrap" if wrap == "tile" else "edge"
-    padded = np.pad(height, 1, mode=mode)
+    padded = np.pad(height, 1, mode="wrap" if wrap == "tile" else "edge")
     across = padded[1:-1, 2:] - padded[1:-1, :-2]
     up = padded[:-2, 1:-1] - padded[2:, 1:-1]
     if wrap == "tile":
@@ -146,7 +177,9 @@ def resample(array: NDArray, size: tuple[int, int], wrap: str) -> NDArray:
         low = np.floor(position).astype(np.int64)
         weight = (position - low).astype(np.float32)
         weight = weight.reshape([-1 if k == axis else 1 for k in range(array.ndim)])
-        first, second = (low % count, (low + 1) % count) if wrap == "tile" else (low.clip(0), (low + 1).clip(0, count - 1))
+        first, second = (
+            (low % count, (low + 1) % count) if wrap == "tile" else (low.clip(0), (low + 1).clip(0, count - 1))
+        )
         array = np.take(array, first, axis) * (1.0 - weight) + np.take(array, second, axis) * weight
     return array
 
@@ -159,8 +192,7 @@ def _pad_even(array: NDArray, wrap: str) -> NDArray:
     return np.pad(array, ((0, 0), (0, odd_y), (0, odd_x)), mode="wrap" if wrap == "tile" else "edge")
 
 
-def _block_mean(array: NDArray, wrap: str) -> NDArray:
-    array = _pad_even(array, wrap)
+def _block_mean(array: NDArray) -> NDArray:
     rows = array[:, 0::2] + array[:, 1::2]
     return 0.25 * (rows[:, :, 0::2] + rows[:, :, 1::2])
 

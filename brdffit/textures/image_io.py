@@ -197,7 +197,9 @@ def read_mip_exr(path: str | Path, channel_names: Sequence[str] | None = None) -
     missing = [name for name in channel_names or () if name not in info.channels]
     if missing:
         reader.close()
-        raise InputError(f"'{path}' has the channels {', '.join(info.channels)}, expected {', '.join(channel_names or ())}.")
+        raise InputError(
+            f"'{path}' has the channels {', '.join(info.channels)}, expected {', '.join(channel_names or ())}."
+        )
     order = [info.channels.index(name) for name in channel_names or info.channels]
     levels: list[NDArray[np.float32]] = []
     try:

@@ -52,7 +52,9 @@ _LETTERS = {
     "g": "gloss",
 }
 #: Words that may stand anywhere in a name, also before the material's, without being mistaken for its subject.
-_SAFE_ANYWHERE = frozenset("albedo basecolor diffuse normal roughness metallic metalness displacement height ao".split())
+_SAFE_ANYWHERE = frozenset(
+    ("albedo", "basecolor", "diffuse", "normal", "roughness", "metallic", "metalness", "displacement", "height", "ao")
+)
 _NOISE = re.compile(
     r"\d{1,2}k|\d+x\d+|png|jpe?g|exr|tiff?|tga|bmp|webp|hdr|dds|\d+bits?|maps?|tex|texture|seamless|tileable|raw"
     r"|linear|srgb|lossless|hires|lowres"
@@ -157,10 +159,10 @@ def roles_from_names(files: Iterable[str], alpha: Iterable[str] = ()) -> NamedSe
     nameless: list[tuple[str, list[str]]] = []
     for file in files:
         tokens = name_tokens(file.rsplit(".", 1)[0])
-        maps, used = _maps_of(file, tokens, file in alpha)
+        named, used = _maps_of(file, tokens, file in alpha)
         stems[file] = "".join(tokens[: len(tokens) - used])
-        if maps:
-            found += maps
+        if named:
+            found += named
         elif tokens and tokens[-1] in _LETTERS:
             stems[file] = "".join(tokens[:-1])
             letters.append(NamedMap(file, _LETTERS[tokens[-1]], "", tokens[-1]))
@@ -171,10 +173,10 @@ def roles_from_names(files: Iterable[str], alpha: Iterable[str] = ()) -> NamedSe
     for file, tokens in nameless:
         _second_chance(file, tokens, found, notes)
     maps = _choose(found, notes)
-    chosen = {named.file for named in maps.values()}
-    rivals = {}
+    chosen = {choice.file for choice in maps.values()}
+    rivals: dict[str, list[str]] = {}
     for role in maps:
-        claims = {named.file: stems[named.file] for named in found if named.role == role}
+        claims = {claim.file: stems[claim.file] for claim in found if claim.role == role}
         if len(set(claims.values())) > 1:
             rivals[role] = list(claims)
     return NamedSet(maps, [file for file in files if file not in chosen], notes, rivals)
@@ -227,13 +229,14 @@ def _second_chance(file: str, tokens: list[str], found: list[NamedMap], notes: l
     for i in range(len(tokens)):
         for j in range(len(tokens), i, -1):
             phrase = "".join(tokens[i:j])
-            if phrase in _NORMAL_Y or phrase in _SAFE_ANYWHERE:
-                if _WORDS[phrase] not in taken:
-                    found.append(NamedMap(file, _WORDS[phrase], "", phrase, _NORMAL_Y.get(phrase, "")))
-                    return
+            if (phrase in _NORMAL_Y or phrase in _SAFE_ANYWHERE) and _WORDS[phrase] not in taken:
+                found.append(NamedMap(file, _WORDS[phrase], "", phrase, _NORMAL_Y.get(phrase, "")))
+                return
     if tokens and re.fullmatch(r"var\d+", tokens[-1]) and "roughness" not in taken:
         found.append(NamedMap(file, "roughness", "", tokens[-1]))
-        notes.append(f"'{file}' is taken as roughness: '_{tokens[-1]}' is an imperfection map of the older CC0Textures.")
+        notes.append(
+            f"'{file}' is taken as roughness: '_{tokens[-1]}' is an imperfection map of the older CC0Textures."
+        )
 
 
 def _choose(found: list[NamedMap], notes: list[str]) -> dict[str, NamedMap]:
@@ -259,6 +262,8 @@ def _choose(found: list[NamedMap], notes: list[str]) -> dict[str, NamedMap]:
         if others:
             notes.append(f"'{maps[role].file}' is taken as {role}; {', '.join(repr(o) for o in others)} is left out.")
     if "roughness" in maps and "gloss" in maps:
-        notes.append(f"'{maps['roughness'].file}' is taken as roughness; the gloss in '{maps['gloss'].file}' is left out.")
+        notes.append(
+            f"'{maps['roughness'].file}' is taken as roughness; the gloss in '{maps['gloss'].file}' is left out."
+        )
         del maps["gloss"]
     return maps

@@ -16,14 +16,11 @@ from brdffit.svbrdf import WRAPS
 from brdffit.textures import encoding
 from brdffit.textures.image_io import IMAGE_SUFFIXES, ImageInfo, file_sha256, read_image, read_info
 from brdffit.textures.naming import ROLES, NamedSet, old_cc0textures, packed_roles, roles_from_names
+from brdffit.textures.orientation import settle_normal_y
 
 NORMAL_YS = ("gl", "dx")
 #: Longest side of a map; more is taken for a damaged header.
 MAX_SIDE = 32768
-#: Agreement (a correlation) from which the evidence for a normal's Y is believed.
-_DECISIVE = 0.2
-#: Side of the crop on which the normal's Y is measured.
-_CROP = 1024
 
 
 @dataclass
@@ -54,8 +51,8 @@ class Map:
         """(height, width) in texels."""
         return self.info.height, self.info.width
 
-    def read(self) -> tuple[NDArray[np.float32], float]:
-        """Pixels (H, W, C) as stored, integers scaled to [0, 1], and the code step of a component in [-1, 1].
+    def read(self) -> tuple[NDArray[np.float32], encoding.CodeNoise]:
+        """Pixels (H, W, C) as stored, integers scaled to [0, 1], and the noise of their codes.
 
         Raises:
             InputError: when the file cannot be read or holds NaN or infinity.
@@ -71,7 +68,7 @@ class Map:
         bits = image.bits
         if bits == 16 and not image.is_float and not (np.rint(pixels * 65535.0) % 257).any():
             bits = 8  # eight bits in sixteen: the noise floor is that of the codes in use
-        return pixels, encoding.code_step(bits, image.is_float)
+        return pixels, encoding.code_noise(bits, image.is_float, image.format)
 
 
 @dataclass
@@ -159,7 +156,7 @@ def read_texture_set(
             f"explicit role such as normal=FILE."
         )
     if "normal" in texture_set.maps:
-        _settle_normal_y(texture_set, normal_y)
+        settle_normal_y(texture_set, normal_y)
     return texture_set
 
 
@@ -268,7 +265,10 @@ def _check_sizes(texture_set: TextureSet, path: Path) -> None:
         if (height, width) == (1, 1):
             continue
         # One texel of rounding on the shorter way.
-        if abs(width - full_width * height / full_height) > 1.0 and abs(height - full_height * width / full_width) > 1.0:
+        if (
+            abs(width - full_width * height / full_height) > 1.0
+            and abs(height - full_height * width / full_width) > 1.0
+        ):
             raise InputError(
                 f"The maps of '{path}' cannot belong together: '{named.path.name}' is {width}x{height} where the largest "
                 f"map is {full_width}x{full_height}, expected the same proportions."
@@ -276,66 +276,3 @@ def _check_sizes(texture_set: TextureSet, path: Path) -> None:
     different = sorted({f"{w}x{h}" for h, w in sizes.values()})
     if len(different) > 1:
         texture_set.note(f"Maps of different sizes ({', '.join(different)}) are brought to {full_width}x{full_height}.")
-
-
-def _settle_normal_y(texture_set: TextureSet, normal_y: str | None) -> None:
-    """Decide the normal's Y where no name tells it: by the height map, by the slopes' curl, or assume OpenGL."""
-    if normal_y is not None:
-        texture_set.normal_y, texture_set.normal_y_source = normal_y, "given"
-        return
-    if texture_set.normal_y_source != "assumed":
-        return
-    file = texture_set.maps["normal"].path.name
-    agreement, evidence = normal_y_agreement(texture_set)
-    if abs(agreement) >= _DECISIVE:
-        texture_set.normal_y, texture_set.normal_y_source = ("gl" if agreement > 0.0 else "dx"), evidence
-        said = "OpenGL (+Y)" if agreement > 0.0 else "DirectX (-Y)"
-        why = "its slopes agree with the height map" if evidence == "height" else "its slopes then have the least curl"
-        texture_set.note(
-            f"The normal map '{file}' does not say whether it is OpenGL or DirectX: {said} is taken because {why} "
-            f"(correlation {abs(agreement):.2f})."
-        )
-    else:
-        texture_set.note(
-            f"The normal map '{file}' does not say whether it is OpenGL or DirectX, and its slopes do not tell: OpenGL "
-            f"(+Y) is assumed; give normal-y if it is not."
-        )
-
-
-def normal_y_agreement(texture_set: TextureSet) -> tuple[float, str]:
-    """Evidence for the normal's Y as stored: a correlation, positive for OpenGL, and "height" or "slopes".
-
-    With a height map: of the normal's y slope with the height's gradient. Without: of dm_x/dy with dm_y/dx, which are
-    equal on any surface (its slopes have no curl) and opposite where y is flipped.
-    """
-    normal = texture_set.maps["normal"]
-    pixels, step = normal.read()
-    slope = slopes_of_normals(pixels[:_CROP, :_CROP, :3])
-    height = texture_set.maps.get("height")
-    if height is not None and height.size == normal.size:
-        field_, _ = encoding.scalar_channel(height.read()[0], height.channel, "height")
-        up = encoding.height_gradient(field_[:_CROP, :_CROP], "clamp")[:, :, 1]
-        # A slope under a code step is no evidence; chrome's dither correlates with nothing.
-        if float(slope[:, :, 1].std()) > step and float(up.std()) > 0.0:
-            agreement = _correlation(slope[:, :, 1], up)
-            if abs(agreement) >= _DECISIVE:
-                return agreement, "height"
-    if min(slope.shape[:2]) < 4 or float(slope.std()) <= step:
-        return 0.0, "slopes"
-    along_x = encoding.height_gradient(slope[:, :, 0], "clamp")[1:-1, 1:-1, 1]
-    along_y = encoding.height_gradient(slope[:, :, 1], "clamp")[1:-1, 1:-1, 0]
-    return _correlation(along_x, along_y), "slopes"
-
-
-def slopes_of_normals(pixels: NDArray) -> NDArray:
-    """(H, W, 2) slopes (-x/z, -y/z) of stored normals in [0, 1] with 2 or 3 channels, z held from the horizon."""
-    xy = 2.0 * pixels[:, :, :2] - 1.0
-    constant = pixels.shape[2] < 3 or float(np.ptp(pixels[:, :, 2])) == 0.0
-    z = encoding.rebuild_z(xy) if constant else 2.0 * pixels[:, :, 2] - 1.0
-    return -xy / np.maximum(z, 0.1)[:, :, None]
-
-
-def _correlation(first: NDArray, second: NDArray) -> float:
-    first, second = first - first.mean(), second - second.mean()
-    norm = float(np.sqrt(np.square(first).sum(dtype=np.float64) * np.square(second).sum(dtype=np.float64)))
-    return float((first * second).sum(dtype=np.float64)) / norm if norm > 0.0 else 0.0
