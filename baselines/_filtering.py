@@ -6,9 +6,12 @@ and a formula from their averages to the level's normal and roughness.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +27,7 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 SINGLE_NOISE = 4.0 * float(np.finfo(np.float32).eps)
 
 #: Texels of a block of rows in work: its temporaries fit a core's cache.
-_BLOCK_TEXELS = 1 << 15
+BLOCK_TEXELS = 1 << 14
 
 _UP = np.array([0.0, 0.0, 1.0], dtype=np.float32)
 
@@ -66,16 +69,22 @@ class FilteringMethod:
         """Unit normals and log roughness tensors, both (h, w, 3), of filtered channels; any block of rows."""
         raise NotImplementedError
 
-    def finish_level(self, filtered: Mapping[str, NDArray], context: LevelContext) -> tuple[NDArray, NDArray]:
+    def finish_level(
+        self, filtered: Mapping[str, NDArray], context: LevelContext, pool: Executor
+    ) -> tuple[NDArray, NDArray]:
         """``finish`` for a whole level, a block of rows at a time."""
         height, width = next(iter(filtered.values())).shape[:2]
         normal = np.empty((height, width, 3), dtype=np.float32)
         log_roughness = np.empty_like(normal)
-        rows = max(1, _BLOCK_TEXELS // width)
-        for start in range(0, height, rows):
+        rows = max(1, BLOCK_TEXELS // width)
+
+        def finish_rows(start: int) -> None:
             part = slice(start, start + rows)
             block = {name: image[part] for name, image in filtered.items()}
             normal[part], log_roughness[part] = self.finish(block, context)
+
+        for _ in pool.map(finish_rows, range(0, height, rows)):
+            pass
         return normal, log_roughness
 
     def bake(self, svbrdf: Svbrdf, options: BakeOptions, progress: Progress | None = None) -> Pyramid:
@@ -85,37 +94,38 @@ class FilteringMethod:
             brdffit.errors.InputError: when the method needs something that the SVBRDF lacks.
             brdffit.errors.UnknownNameError: for an unknown model or pixel filter.
         """
+        # NumPy and SciPy let go of the interpreter's lock; blocks do not depend on each other, nor on who makes them.
+        with ThreadPoolExecutor(options.threads or os.cpu_count()) as pool:
+            return self._bake(svbrdf, options, progress, pool)
+
+    def _bake(self, svbrdf: Svbrdf, options: BakeOptions, progress: Progress | None, pool: Executor) -> Pyramid:
         model, pixel_filter = get_model(options.model), get_pixel_filter(options.pixel_filter)
-        chain_length = len(level_sizes(svbrdf.size))
-        sizes = level_sizes(svbrdf.size, options.levels)
-        keeps_level_0 = options.keep_level_0 or self.leaves_level_0
-        notes: list[str] = []
-        levels: list[Level] = []
         started = time.perf_counter()
-        if keeps_level_0:
-            levels.append(Level(_relabelled(svbrdf, model)))
+        notes: list[str] = []
         own = self.channels(svbrdf, notes)
         carried = _carried_channels(svbrdf, model)
-        pyramids = {
-            name: iter_pyramid(image, sizes[len(levels) :], pixel_filter, svbrdf.wrap)
-            for name, image in {**carried, **own}.items()
-        }
+        sizes = level_sizes(svbrdf.size, options.levels)
+        kept = 1 if options.keep_level_0 or self.leaves_level_0 else 0
+        images = own | carried
+        pyramids = [iter_pyramid(image, sizes[kept:], pixel_filter, svbrdf.wrap) for image in images.values()]
+        levels: list[Level] = []
         for mip_level, (height, width) in enumerate(sizes):
-            if mip_level == len(levels):
-                filtered = {name: next(pyramid) for name, pyramid in pyramids.items()}
+            if mip_level < kept:
+                level = svbrdf
+            else:
                 context = LevelContext(
                     mip_level=mip_level,
-                    chain_length=chain_length,
+                    chain_length=len(level_sizes(svbrdf.size)),
                     scale=(svbrdf.size[0] / height, svbrdf.size[1] / width),
                     wrap=svbrdf.wrap,
                     isotropic=model.isotropic or options.lobe == "isotropic",
                     least_alpha_squared=options.min_roughness**4,
                 )
-                normal, log_roughness = self.finish_level({name: filtered[name] for name in own}, context)
-                colours = {name: _in_range(name, filtered[name]) for name in carried}
-                level = Svbrdf(normal, log_roughness, model=model.name, wrap=svbrdf.wrap, **colours)
-                levels.append(Level(_relabelled(level, model)))
-            levels[mip_level].seconds = time.perf_counter() - started
+                filtered = dict(zip(images, pool.map(next, pyramids), strict=True))
+                normal, log_roughness = self.finish_level({name: filtered[name] for name in own}, context, pool)
+                colours: dict[str, Any] = {name: _in_range(name, filtered[name]) for name in carried}
+                level = Svbrdf(normal, log_roughness, wrap=svbrdf.wrap, **colours)
+            levels.append(Level(_relabelled(level, model), seconds=time.perf_counter() - started))
             started = time.perf_counter()
             if progress is not None:
                 progress(mip_level, height * width, height * width)
@@ -197,13 +207,21 @@ def log_of_bounded_tensor(tensor: NDArray, context: LevelContext) -> NDArray:
     mean, half = 0.5 * (tensor[..., 0] + tensor[..., 1]), 0.5 * (tensor[..., 0] - tensor[..., 1])
     off = tensor[..., 2]
     radius = np.sqrt(half * half + off * off)
-    major = np.log(np.clip(mean + radius, context.least_alpha_squared, 1.0))
-    minor = np.log(np.clip(mean - radius, context.least_alpha_squared, 1.0))
-    log_mean = 0.5 * (major + minor)
+    # Eigenvalues in double precision (mean - radius cancels); their logarithms need no more than single.
+    major = np.log(np.clip(mean + radius, context.least_alpha_squared, 1.0).astype(np.float32))
+    minor = np.log(np.clip(mean - radius, context.least_alpha_squared, 1.0).astype(np.float32))
+    log_mean = np.float32(0.5) * (major + minor)
+    out = np.empty(tensor.shape, dtype=np.float32)
     if context.isotropic:
-        return np.stack([log_mean, log_mean, np.zeros_like(log_mean)], axis=-1)
-    quotient = 0.5 * (major - minor) / np.where(radius > 0, radius, 1.0)
-    return np.stack([log_mean + quotient * half, log_mean - quotient * half, quotient * off], axis=-1)
+        out[..., 0] = out[..., 1] = log_mean
+        out[..., 2] = 0.0
+        return out
+    quotient = 0.5 * (major - minor) / np.maximum(radius, np.finfo(np.float64).tiny)
+    half *= quotient
+    np.add(log_mean, half, out=out[..., 0], casting="same_kind")
+    np.subtract(log_mean, half, out=out[..., 1], casting="same_kind")
+    np.multiply(quotient, off, out=out[..., 2], casting="same_kind")
+    return out
 
 
 def unit_normal_and_length(mean_normal: NDArray) -> tuple[NDArray, NDArray]:
@@ -212,7 +230,7 @@ def unit_normal_and_length(mean_normal: NDArray) -> tuple[NDArray, NDArray]:
     length = np.sqrt(squared)
     some = length > 1e-6
     normal = np.where(some[..., None], mean_normal / np.where(some, length, 1.0)[..., None], _UP)
-    variance = np.maximum(1.0 - squared - SINGLE_NOISE, 0.0)
+    variance = np.maximum(1.0 - squared - SINGLE_NOISE, 0.0) / (1.0 - SINGLE_NOISE)
     return normal, np.sqrt(np.maximum(1.0 - variance, 0.0))
 
 

@@ -9,6 +9,7 @@ stored, colours linearly.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,9 @@ class FilteredHeight(Naive):
         channels = super().channels(svbrdf, notes)
         return {"height": svbrdf.height[..., None], "roughness": channels["roughness"]}
 
-    def finish_level(self, filtered: Mapping[str, NDArray], context: LevelContext) -> tuple[NDArray, NDArray]:
+    def finish_level(
+        self, filtered: Mapping[str, NDArray], context: LevelContext, pool: Executor
+    ) -> tuple[NDArray, NDArray]:
         """Slopes need neighbours: they are taken for the whole level, before its blocks."""
         height = filtered["height"][..., 0]
         down = _derivative(height, 0, context.scale[0], context.wrap)
@@ -62,4 +65,4 @@ class FilteredHeight(Naive):
         # Rows run down the picture, +Y up.
         normal = np.stack([-across, down, np.ones_like(across)], axis=-1)
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        return super().finish_level({"normal": normal, "roughness": filtered["roughness"]}, context)
+        return super().finish_level({"normal": normal, "roughness": filtered["roughness"]}, context, pool)

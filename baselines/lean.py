@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines._filtering import (
+    BLOCK_TEXELS,
     SINGLE_NOISE,
     FilteringMethod,
     LevelContext,
@@ -49,15 +50,16 @@ class Lean(FilteringMethod):
         """First and second moments of the slopes, and the roughness tensor."""
         moments = np.empty((*svbrdf.size, 5), dtype=np.float32)
         clamped = 0
-        for row, normal in enumerate(svbrdf.normal):
-            tangential = np.hypot(normal[:, 0], normal[:, 1])
-            steep = tangential > MAX_SLOPE * normal[:, 2]
-            n_z = np.where(steep, np.maximum(tangential / MAX_SLOPE, 1e-6), normal[:, 2])
-            clamped += int(np.count_nonzero(steep))
-            slope = -normal[:, :2] / n_z[:, None]
-            moments[row, :, :2] = slope
-            moments[row, :, 2:4] = slope * slope
-            moments[row, :, 4] = slope[:, 0] * slope[:, 1]
+        rows = max(1, BLOCK_TEXELS // svbrdf.size[1])
+        for start in range(0, svbrdf.size[0], rows):
+            n_x, n_y, n_z = np.moveaxis(svbrdf.normal[start : start + rows], -1, 0)
+            # At the cut, n_z is what it would be with slope MAX_SLOPE and this tangential part.
+            least = np.maximum(np.sqrt(n_x * n_x + n_y * n_y) / np.float32(MAX_SLOPE), np.float32(1e-6))
+            clamped += int(np.count_nonzero(n_z < least))
+            minus_inverse = np.float32(-1.0) / np.maximum(n_z, least)
+            m_x, m_y = n_x * minus_inverse, n_y * minus_inverse
+            for channel, moment in enumerate((m_x, m_y, m_x * m_x, m_y * m_y, m_x * m_y)):
+                moments[start : start + rows, :, channel] = moment
         if clamped:
             notes.append(
                 f"{clamped} of {svbrdf.normal[..., 0].size} base texels have slopes steeper than {MAX_SLOPE:g}; "
@@ -67,7 +69,7 @@ class Lean(FilteringMethod):
 
     def finish(self, filtered: Mapping[str, NDArray], context: LevelContext) -> tuple[NDArray, NDArray]:
         """Mean normal and Sigma' = E[Sigma] + 2 J Cov J'."""
-        m_x, m_y, m_xx, m_yy, m_xy = np.moveaxis(filtered["moments"].astype(np.float64), -1, 0)
+        m_x, m_y, m_xx, m_yy, m_xy = np.moveaxis(filtered["moments"], -1, 0).astype(np.float64, order="C")
         # A difference of single-precision averages is known to a few parts in 10^7 of what is subtracted.
         noise = SINGLE_NOISE * (m_xx + m_yy)
         cov_xx = np.maximum(m_xx - m_x * m_x - noise, 0.0)
