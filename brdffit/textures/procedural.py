@@ -1,0 +1,128 @@
+"""Texture sets made from recipes: what the program ships, and bakes on a machine that has no textures of its own.
+
+A recipe (``data/*.toml``) names a generator, a seed and parameters. All sets tile, save the record.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import BrdffitError, InputError, OutputError, UnknownNameError
+from brdffit.textures.generators import GENERATORS, unit_range
+from brdffit.textures.image_io import write_png
+
+RECIPES = Path(__file__).resolve().parents[2] / "data"
+#: Names of the shipped sets.
+SETS = ("brushed-metal", "bumpy-mirror", "glossy-tiles", "grooved-record", "hammered-metal")
+
+
+class Recipe(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What a recipe file holds."""
+
+    summary: str
+    generator: str
+    origin: str
+    licence: str
+    seed: int
+    wrap: str
+    parameters: dict[str, Any]
+
+
+def read_recipe(path: Path) -> tuple[Recipe, Any]:
+    """A recipe and its generator with parameters.
+
+    Raises:
+        InputError: when the recipe cannot be read, or holds what no generator knows.
+    """
+    try:
+        recipe = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Recipe)
+        generator = GENERATORS.get(recipe.generator)
+        if generator is None:
+            raise UnknownNameError("generator", recipe.generator, GENERATORS)
+        return recipe, msgspec.convert(recipe.parameters, generator)
+    except OSError as error:
+        raise InputError(f"The recipe '{path}' cannot be read: {error.strerror}.") from error
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
+        raise InputError(f"The recipe '{path}' is not as expected: {error}.") from error
+
+
+def make_set(name: str, folder: str | Path, size: int = 512) -> Path:
+    """Write the maps of a shipped set into ``folder``; the same name and size give the same bytes.
+
+    Args:
+        name: one of ``SETS``.
+        folder: where the maps go; made if missing.
+        size: side of the maps in texels.
+
+    Returns:
+        The folder.
+
+    Raises:
+        UnknownNameError: for an unknown name.
+        OutputError: when a map cannot be written; no half-written map bears a final name.
+    """
+    if name not in SETS:
+        raise UnknownNameError("procedural set", name, SETS)
+    recipe, generator = read_recipe(RECIPES / f"{name}.toml")
+    maps = generator.make(size, np.random.default_rng(recipe.seed))
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"'{folder}' cannot be made: {error.strerror}.") from error
+    stem = "".join(part.capitalize() for part in name.split("-"))
+    pictures = {
+        "Color": _codes(_srgb(maps.color), 255),
+        "NormalGL": _codes(0.5 * maps.normal + 0.5, 65535),
+        "Roughness": _codes(maps.roughness, 255),
+        "Metallic": None if maps.metallic is None else _codes(maps.metallic, 255),
+        "Height": None if maps.height is None else _codes(unit_range(maps.height), 65535),
+    }
+    for role, pixels in pictures.items():
+        if pixels is None:
+            continue
+        final = folder / f"{stem}_{role}.png"
+        part = folder / f".{stem}_{role}.part.png"
+        try:
+            write_png(part, pixels)
+            os.replace(part, final)
+        except OSError as error:
+            raise OutputError(f"'{final}' could not be written: {error.strerror}.") from error
+        finally:
+            part.unlink(missing_ok=True)
+    return folder
+
+
+def _srgb(linear: NDArray) -> NDArray:
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def _codes(values: NDArray, top: int) -> NDArray:
+    return np.rint(np.clip(values, 0.0, 1.0) * top).astype(np.uint8 if top == 255 else np.uint16)
+
+
+def main(arguments: list[str], tell: Callable[[str], object] = sys.stderr.write) -> int:
+    """``OUT [NAMES]``: write the named sets, or all, each into a folder of its name."""
+    if not arguments or arguments[0].startswith("-"):
+        tell(f"usage: python -m brdffit.textures.procedural OUT [{' '.join(SETS)}]\n")
+        return 2
+    try:
+        for name in arguments[1:] or SETS:
+            make_set(name, Path(arguments[0]) / name)
+    except BrdffitError as error:
+        tell(f"{error}\n")
+        return 2 if isinstance(error, UnknownNameError) else 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
