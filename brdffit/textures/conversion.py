@@ -42,7 +42,7 @@ def to_svbrdf(texture_set: TextureSet, *, min_roughness: float = DEFAULT_MIN_ROU
     normal, height = _normal_and_height(texture_set)
     roughness = _roughness(texture_set, min_roughness)
     specular, diffuse = _colours(texture_set)
-    occlusion = _scalar(texture_set, "ao")
+    occlusion = scalar_map(texture_set, "ao")
     if occlusion is not None:
         strength = float(texture_set.factors.get("occlusion", 1.0))
         occlusion = np.clip(1.0 + strength * (occlusion - 1.0), 0.0, 1.0)
@@ -186,10 +186,10 @@ def _blocks(array: NDArray, block: int) -> NDArray:
 
 def _roughness(texture_set: TextureSet, min_roughness: float) -> NDArray:
     factors = texture_set.factors
-    roughness = _scalar(texture_set, "roughness")
+    roughness = scalar_map(texture_set, "roughness")
     if roughness is not None:
         roughness = roughness * np.float32(factors.get("roughness", 1.0))
-    elif (gloss := _scalar(texture_set, "gloss")) is not None:
+    elif (gloss := scalar_map(texture_set, "gloss")) is not None:
         roughness = 1.0 - gloss * np.float32(factors.get("gloss", 1.0))
     else:
         value = float(factors.get("roughness", DEFAULT_ROUGHNESS))
@@ -211,7 +211,7 @@ def _colours(texture_set: TextureSet) -> tuple[NDArray, NDArray]:
         if "base_color" not in factors:
             texture_set.note(f"There is no base colour map: a grey of {DEFAULT_BASE_COLOR} (linear) is assumed.")
     base = base * np.asarray(factors.get("base_color", 1.0), dtype=np.float32)
-    metallic = _scalar(texture_set, "metallic")
+    metallic = scalar_map(texture_set, "metallic")
     if metallic is not None:
         metallic = metallic * np.float32(factors.get("metallic", 1.0))
     elif "metallic" in factors:
@@ -223,7 +223,7 @@ def _colours(texture_set: TextureSet) -> tuple[NDArray, NDArray]:
     f0: NDArray | np.float32 = np.float32(DIELECTRIC_F0)
     if "specular" in texture_set.maps:
         # Beside a metallic map a specular map is the engines' scale of a dielectric: 0.5 is an F0 of 0.04.
-        scale = _scalar(texture_set, "specular")
+        scale = scalar_map(texture_set, "specular")
         assert scale is not None
         f0 = (2.0 * DIELECTRIC_F0 * scale).astype(np.float32)[:, :, None]
         texture_set.note(
@@ -247,7 +247,7 @@ def _colour(texture_set: TextureSet, role: str) -> NDArray | None:
     return _enlarge(texture_set, linear)
 
 
-def _scalar(texture_set: TextureSet, role: str) -> NDArray | None:
+def scalar_map(texture_set: TextureSet, role: str) -> NDArray | None:
     """(H, W) in [0, 1] of a map of one quantity at full size, or at one texel."""
     named = texture_set.maps.get(role)
     return None if named is None else _enlarge(texture_set, np.clip(_values(texture_set, named), 0.0, 1.0))
