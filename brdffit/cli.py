@@ -1,0 +1,174 @@
+"""The command line: it parses and calls.
+
+Heavy imports (NumPy, Numba, OpenImageIO, rich) stand inside the commands, so that ``brdffit --help`` answers at once.
+Exit codes: 0 done, 1 a bad input or a failed bake, 2 a wrong command line, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from brdffit.errors import BrdffitError, UnknownNameError
+
+
+class _Group(click.Group):
+    """Turns our errors into their exit codes; their text is one full sentence."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except BrdffitError as error:
+            click.echo(f"Error: {error}", err=True)
+            ctx.exit(2 if isinstance(error, UnknownNameError) else 1)
+        except KeyboardInterrupt:
+            click.echo("Interrupted: what was in the output folder before is still there.", err=True)
+            ctx.exit(130)
+
+
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True}
+
+
+@click.group(cls=_Group, context_settings=_SETTINGS)
+@click.version_option(package_name="brdffit")
+def main() -> None:
+    """Bake MIP pyramids of materials that keep their appearance in the distance."""
+
+
+def _known(kind: str) -> Callable[[click.Context, click.Parameter, str | None], str | None]:
+    """A callback that refuses an unknown method, model or preset with the nearest name (exit code 2)."""
+
+    def check(ctx: click.Context, parameter: click.Parameter, name: str | None) -> str | None:
+        from brdffit.methods import method_names, one_of
+        from brdffit.models import model_names
+        from brdffit.textures.presets import preset_names
+
+        own_class = kind == "method" and ":" in (name or "")
+        if name is not None and not own_class:
+            one_of(kind, name, {"method": method_names, "model": model_names, "preset": preset_names}[kind]())
+        return name
+
+    return check
+
+
+def _roles(ctx: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, str] | None:
+    """ROLE=FILE, repeated, as a mapping."""
+    roles: dict[str, str] = {}
+    for pair in pairs:
+        role, equals, file = pair.partition("=")
+        if not (role and equals and file):
+            raise click.BadParameter(f"'{pair}' is not of the form ROLE=FILE, for example normal=bumps.png.")
+        if role in roles:
+            raise click.BadParameter(f"'{role}' is given twice.")
+        roles[role] = file
+    return roles or None
+
+
+def _reading_options(command: Callable) -> Callable:
+    """Options that say how a set is read."""
+    for option in (
+        click.option("--height-scale", type=float, metavar="TEXELS", help="Texels between heights 0 and 1."),
+        click.option("--wrap", type=click.Choice(["tile", "clamp"]), default="tile"),
+        click.option(
+            "--normal-y", type=click.Choice(["gl", "dx"]), help="Of the normal map; else told by names or slopes."
+        ),
+        click.option(
+            "--role",
+            "roles",
+            multiple=True,
+            callback=_roles,
+            metavar="ROLE=FILE",
+            help="What a file is, as roughness=r.png; repeatable.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+_roughness_floor: dict[str, Any] = {"type": click.FloatRange(0, 1, min_open=True)}
+_OUTPUT_HELP = "Folder to write into; the set gets one of its own name there."
+_SPECULAR_HELP = "Fit the scale of the lobe, or hold the filtered colour; auto: what the preset can store."
+
+
+def _choice(*names: str) -> dict[str, Any]:
+    """An option whose default, shown, is that of BakeOptions or of the preset: it is passed on only if given."""
+    return {"type": click.Choice(names)}
+
+
+@main.command()
+@click.argument("source", metavar="SET")
+@click.option("--preset", default="plain", callback=_known("preset"), help="Engine that the pictures are for.")
+@click.option("--quality", **_choice("draft", "standard", "fine"), show_default="standard")
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out"), help=_OUTPUT_HELP)
+@click.option("--method", default="bfgs", callback=_known("method"), help="See `brdffit methods`; or module:object.")
+@click.option("--model", callback=_known("model"), show_default="ggx", help="See `brdffit models`.")
+@click.option("--pixel-filter", **_choice("box", "gaussian", "mitchell"), show_default="box")
+@click.option("--levels", type=click.IntRange(min=1), help="How many, level 0 counted; else down to 1x1.")
+@click.option("--keep-level-0", is_flag=True, help="Leave level 0 as authored instead of filtering it too.")
+@click.option("--min-roughness", **_roughness_floor, show_default="0.045", help="Perceptual roughness floor.")
+@click.option("--specular", **_choice("auto", "free", "held"), show_default="auto", help=_SPECULAR_HELP)
+@click.option("--lobe", **_choice("auto", "anisotropic", "isotropic"), show_default="auto", help="auto: as the preset.")
+@click.option("--normal", **_choice("free", "mean"), show_default="free", help="Fit the normal, or hold the mean.")
+@click.option("--density", **_choice("cosine", "uniform"), show_default="cosine", help="Of lights and viewers.")
+@click.option("--bits", type=click.Choice(["8", "16"]), default="8", help="Of the pictures.")
+@click.option("--no-preview", is_flag=True, help="Do not draw preview.png.")
+@click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
+@_reading_options
+def bake(source: str, output: Path, bits: str, no_preview: bool, **options: Any) -> None:
+    """Bake the MIP pyramid of SET.
+
+    SET is a folder of textures, or a .gltf, .glb or .mtlx file.
+    """
+    from brdffit.baking import bake_to_folder
+    from brdffit.console import BakeDisplay, print_report
+
+    given = {name: value for name, value in options.items() if value not in (None, False, "auto")}
+    with BakeDisplay() as display:
+        report = bake_to_folder(source, output, bits=int(bits), preview=not no_preview, progress=display, **given)
+    print_report(report)
+
+
+@main.command()
+@click.argument("source", metavar="SET")
+@_reading_options
+@click.pass_context
+def inspect(context: click.Context, source: str, **options: Any) -> None:
+    """Say what was found in SET, and what looks wrong.
+
+    SET is a folder of textures, or a .gltf, .glb or .mtlx file. The exit code is 1 if it cannot be baked as it is.
+    """
+    from brdffit.console import print_inspection
+    from brdffit.textures.inspection import inspect_set
+    from brdffit.textures.texture_set import read_texture_set
+
+    inspection = inspect_set(read_texture_set(source, **options))
+    print_inspection(inspection)
+    if "roughness_mean" not in inspection.statistics:  # it could not be decoded; the reason was told
+        context.exit(1)
+
+
+@main.command()
+@click.option("--plain", is_flag=True, help="One name a line, for scripts.")
+def methods(plain: bool) -> None:
+    """List the methods."""
+    from brdffit.methods import get_method, method_names
+
+    _print_names(method_names(), get_method, plain)
+
+
+@main.command()
+@click.option("--plain", is_flag=True, help="One name a line, for scripts.")
+def models(plain: bool) -> None:
+    """List the lobe models."""
+    from brdffit.models import get_model, model_names
+
+    _print_names(model_names(), get_model, plain)
+
+
+def _print_names(names: list[str], get: Callable[[str], Any], plain: bool) -> None:
+    width = max(map(len, names), default=0)
+    for name in names:
+        click.echo(name if plain else f"{name:{width}}  {get(name).summary}")

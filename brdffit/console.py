@@ -1,0 +1,143 @@
+"""What people see in a terminal: the progress of a bake, its report, and what was found in a texture set."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Self
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn
+from rich.table import Table
+
+from brdffit.fitting.status import FALLBACK
+
+if TYPE_CHECKING:
+    from brdffit.baking import BakeReport
+    from brdffit.textures.inspection import Inspection
+
+_PHASES = {
+    "reading": "reading the textures",
+    "compiling": "compiling the kernels",
+    "measuring": "measuring against the reference",
+    "preview": "lighting the preview",
+}
+
+#: Columns where no terminal sets them: file names stay whole.
+_PIPED_WIDTH = 200
+
+
+class BakeDisplay:
+    """What a bake is doing, on standard error: a bar with level and texels a second, and compiling told apart."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True, highlight=False)
+        columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+        self._bars = Progress(*columns, TextColumn("{task.fields[rate]}"), console=self._console, transient=True)
+        self._task = self._bars.add_task("", total=None, rate="")
+        self._phase = ""
+        self._level = -1
+        self._phase_began = self._level_began = self._last_report = time.perf_counter()
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bars.stop()
+
+    def phase(self, name: str) -> None:
+        """A phase begins: "reading", "compiling", "fitting", "measuring", "preview" or "writing"."""
+        now = time.perf_counter()
+        if self._phase == "compiling":
+            self._console.print(f"Compiled in {now - self._phase_began:.1f} s.")
+        if name == "compiling":
+            self._console.print("Compiling the kernels: once on this machine, and no part of the fitting time.")
+        self._phase, self._level, self._phase_began, self._last_report = name, -1, now, now
+        self._bars.reset(self._task, total=None, description=_PHASES.get(name, name), rate="")
+
+    def __call__(self, level: int, done: int, total: int) -> None:
+        """``done`` of ``total`` texels of a level are finished."""
+        if level != self._level:
+            # The first report of a level comes when some of it is done: it began with the last report before.
+            self._level, self._level_began = level, self._last_report
+            self._bars.reset(self._task, total=total, description=f"level {level}")
+        self._last_report = time.perf_counter()
+        seconds = max(self._last_report - self._level_began, 1e-9)
+        self._bars.update(self._task, completed=done, rate=f"{done / seconds:,.0f} texels/s")
+
+
+def print_report(report: BakeReport) -> None:
+    """A compact table of the levels, what is to be said of them, and where they are."""
+    table = _table("level", "size", "SNR dB", "energy kept", "fallbacks", "texels/s", justify="right")
+    for index, level in enumerate(report.pyramid.levels):
+        height, width = level.svbrdf.size
+        measured = report.measured[index] if index < len(report.measured) else {}
+        table.add_row(
+            str(index),
+            f"{width}x{height}",
+            _number(measured.get("snr_db"), ".1f"),
+            _number(measured.get("energy_kept"), ".1%"),
+            _number(None if level.status is None else int((level.status == FALLBACK).sum()), ","),
+            _number(height * width / level.seconds if level.seconds > 0 else None, ",.0f"),
+        )
+    console = _console()
+    console.print(table)
+    _print_list(console, report.notes)
+    console.print(", ".join(f"{_PHASES.get(name, name)} {seconds:.1f} s" for name, seconds in report.seconds.items()))
+    preview = report.folder / "preview.png"
+    console.print(f"{report.folder}" + (f" (see {preview})" if preview.exists() else ""))
+
+
+def print_inspection(inspection: Inspection) -> None:
+    """Maps with their roles and decoding, conventions, statistics, and what looks wrong."""
+    console = _console()
+    height, width = inspection.size
+    console.print(
+        f"{inspection.name}: {width}x{height}, wrap {inspection.wrap}, "
+        f"normal Y {inspection.normal_y} ({inspection.normal_y_source})"
+    )
+    table = _table("role", "file", "size", "bits", "read as")
+    for image in inspection.maps:
+        file = f"{image.file}:{image.channel}" if image.channel else image.file
+        bits = f"{image.bits} float" if image.is_float else str(image.bits)
+        table.add_row(image.role, file, f"{image.width}x{image.height}", bits, image.decoding)
+    console.print(table)
+    table = _table("statistic", "value")
+    for name, value in inspection.statistics.items():
+        values = value if isinstance(value, tuple) else (value,)
+        table.add_row(name.replace("_", " "), "  ".join(f"{number:.4g}" for number in values))
+    if inspection.statistics:
+        console.print(table)
+    for title, sentences in (
+        ("Looks wrong:", inspection.wrong),
+        ("Assumed or mended:", inspection.notes),
+        ("Not used:", inspection.ignored),
+    ):
+        if sentences:
+            console.print(title)
+            _print_list(console, sentences)
+
+
+def _console() -> Console:
+    # Paths and sentences are data, not markup.
+    console = Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = _PIPED_WIDTH
+    return console
+
+
+def _table(*columns: str, justify: str = "left") -> Table:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        table.add_column(column, justify=justify, overflow="fold")  # type: ignore[arg-type]
+    return table
+
+
+def _print_list(console: Console, sentences: list[str]) -> None:
+    for sentence in sentences:
+        console.print(f"- {sentence}")
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

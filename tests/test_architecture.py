@@ -1,0 +1,130 @@
+"""The walls of the house: which module may import which, and a few habits; read from the sources, nothing is run."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SOURCES = sorted(path for package in ("brdffit", "baselines") for path in (ROOT / package).rglob("*.py"))
+TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
+
+#: Longest file, in lines; most are under 300.
+MAX_LINES = 400
+
+#: What the modules of a room must not import: the arrows of the architecture, read against their direction.
+#: (textures and render know svbrdf and the Pyramid of methods.py; the command line knows all.)
+FORBIDDEN = {
+    "brdffit": {"baselines"},
+    "brdffit.errors": {"brdffit.svbrdf", "brdffit.methods", "brdffit.textures", "brdffit.models"},
+    "brdffit.roughness": {"brdffit.svbrdf", "brdffit.methods", "brdffit.textures", "brdffit.models"},
+    "brdffit.svbrdf": {"brdffit.methods", "brdffit.textures", "brdffit.models", "brdffit.fitting", "brdffit.footprint"},
+    "brdffit.models": {"brdffit.halfangle", "brdffit.fitting", "brdffit.methods", "brdffit.textures", "brdffit.render"},
+    "brdffit.halfangle": {"brdffit.fitting", "brdffit.textures", "brdffit.render", "brdffit.baking", "brdffit.cli"},
+    "brdffit.fitting": {"brdffit.textures", "brdffit.render", "brdffit.baking", "brdffit.cli"},
+    "brdffit.methods": {
+        "brdffit.textures", "brdffit.render", "brdffit.halfangle", "brdffit.fitting", "brdffit.baking", "brdffit.cli"
+    },
+    "brdffit.footprint": {
+        "brdffit.textures", "brdffit.render", "brdffit.models", "brdffit.halfangle", "brdffit.fitting", "brdffit.baking"
+    },
+    "brdffit.textures": {
+        "brdffit.fitting", "brdffit.halfangle", "brdffit.models", "brdffit.render", "brdffit.baking", "brdffit.cli"
+    },
+    "brdffit.render": {
+        "brdffit.fitting", "brdffit.halfangle", "brdffit.textures", "brdffit.baking", "brdffit.cli"
+    },
+    "baselines": {"brdffit.fitting", "brdffit.halfangle", "brdffit.textures", "brdffit.render", "brdffit.cli"},
+}  # fmt: skip
+
+
+def module_name(path):
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(tree):
+    """Every module that a source imports, at the top or inside a function, but for type checkers alone."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute here"
+            # `from package import module` imports package.module, if it is one; a name that is none does no harm.
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def within(module, room):
+    return module == room or module.startswith(room + ".")
+
+
+def test_there_is_something_to_police():
+    names = {module_name(path) for path in SOURCES}
+    assert {"brdffit", "brdffit.methods", "brdffit.models.ggx", "baselines.lean"} <= names
+    assert "OpenImageIO" in imports(TREES[ROOT / "brdffit/textures/image_io.py"])
+
+
+@pytest.mark.parametrize("room", FORBIDDEN)
+def test_arrows_point_one_way(room):
+    wrong = [
+        f"{module_name(path)} imports {module}"
+        for path, tree in TREES.items()
+        if within(module_name(path), room)
+        for module in imports(tree)
+        if any(within(module, other) for other in FORBIDDEN[room])
+    ]
+    assert not wrong
+
+
+def test_one_file_imports_openimageio():
+    importers = [path.name for path, tree in TREES.items() if any(within(m, "OpenImageIO") for m in imports(tree))]
+    assert importers == ["image_io.py"]
+
+
+def test_one_file_compiles():
+    """numba.njit and numba.jit, however they are imported, stand in _jit.py alone: one place for the flags."""
+    compilers = {"njit", "jit", "jitclass", "vectorize", "guvectorize", "cfunc"}
+    for path, tree in TREES.items():
+        if path.name == "_jit.py":
+            continue
+        named = {
+            alias.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and within(node.module or "", "numba")
+            for alias in node.names
+        }
+        attributes = {
+            node.attr
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in ("numba", "nb")
+        }
+        assert not compilers & (named | attributes), module_name(path)
+
+
+def test_nothing_prints():
+    """The command line speaks through its console; everything else is silent."""
+    for path, tree in TREES.items():
+        calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
+        assert not [call.lineno for call in calls if call.func.id == "print"], module_name(path)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=module_name)
+def test_every_module_says_what_it_is_and_stays_short(path):
+    source = path.read_text(encoding="utf-8")
+    if path.name != "__init__.py" or source.strip():
+        assert ast.get_docstring(TREES[path])
+    assert len(source.splitlines()) <= MAX_LINES
+
+
+def test_the_command_line_starts_without_the_heavy_libraries():
+    """`brdffit --help` must answer at once: a fresh interpreter that imports the command line holds none of these."""
+    script = (
+        "import sys, brdffit.cli; "
+        "sys.exit(','.join({'numpy', 'scipy', 'numba', 'OpenImageIO', 'nlopt', 'rich'} & set(sys.modules)) or 0)"
+    )
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert result.returncode == 0, result.stderr

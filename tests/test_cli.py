@@ -1,0 +1,252 @@
+"""The command line: names, exit codes, what is passed on; the bake itself is a fake here."""
+
+import dataclasses
+import importlib.metadata
+import re
+import subprocess
+import sys
+import time
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from brdffit.cli import main
+from brdffit.errors import InputError, OutputError, UnknownNameError
+from brdffit.fitting.status import CONVERGED, FALLBACK
+from brdffit.methods import QUALITIES, BakeOptions, Level, Pyramid, method_names
+from brdffit.models import model_names
+from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.textures.image_io import write_png
+from brdffit.textures.presets import preset_names
+
+METHODS = ["bfgs", "naive", "toksvig", "vmf", "lean", "filament", "godot", "flatten", "height"]
+MODELS = ["ggx", "blinn-phong", "ashikhmin-shirley", "beckmann", "generalised-beckmann"]
+
+
+@pytest.fixture
+def run():
+    runner = CliRunner()
+    return lambda *arguments: runner.invoke(main, [str(argument) for argument in arguments])
+
+
+def small_pyramid():
+    levels = []
+    for height, width in level_sizes((4, 8)):
+        three = np.ones((height, width, 3), dtype=np.float32)
+        status = np.full((height, width), CONVERGED, dtype=np.uint8)
+        status[0, 0] = FALLBACK
+        levels.append(Level(Svbrdf(three, three, three, three), status=status, seconds=0.5))
+    return Pyramid("bfgs", BakeOptions(), levels)
+
+
+@pytest.fixture
+def baked(monkeypatch, tmp_path):
+    """A stand-in for the bake: records how it was called, reports some progress, raises what it is told to."""
+    calls = types.SimpleNamespace(arguments=None, error=None)
+
+    def bake_to_folder(source, output, *, progress=None, **options):
+        calls.arguments = {"source": source, "output": output, **options}
+        progress.phase("compiling")
+        progress.phase("fitting")
+        progress(0, 10, 32)
+        if calls.error is not None:
+            raise calls.error
+        progress(0, 32, 32)
+        progress.phase("writing")
+        folder = tmp_path / "set"
+        folder.mkdir()
+        (folder / "preview.png").write_bytes(b"picture")
+        return types.SimpleNamespace(
+            folder=folder,
+            pyramid=small_pyramid(),
+            measured=[{"snr_db": 17.25, "energy_kept": 0.987}, {"snr_db": None}],
+            notes=["A sentence for the user."],
+            seconds={"compiling": 12.0, "fitting": 1.5},
+        )
+
+    monkeypatch.setitem(sys.modules, "brdffit.baking", types.SimpleNamespace(bake_to_folder=bake_to_folder))
+    return calls
+
+
+def test_help_answers_at_once():
+    """Under half a second on a quiet machine; the best of a few runs, with room for a busy one."""
+    command = [sys.executable, "-c", "from brdffit.cli import main; main(['--help'])"]
+    seconds = []
+    for _ in range(3):
+        started = time.perf_counter()
+        result = subprocess.run(command, capture_output=True, text=True, check=True)
+        seconds.append(time.perf_counter() - started)
+    assert all(f"\n  {name} " in result.stdout for name in ("bake", "inspect", "methods", "models"))
+    assert min(seconds) < 1.0
+
+
+@pytest.mark.parametrize(
+    "command, names, expected", [("methods", method_names, METHODS), ("models", model_names, MODELS)]
+)
+def test_lists_are_plain_for_scripts_and_told_for_people(run, command, names, expected):
+    plain = run(command, "--plain")
+    assert plain.exit_code == 0 and plain.stdout.split("\n") == [*names(), ""]
+    assert set(expected) <= set(names()) and names()[0] == expected[0]
+
+
+def test_models_come_with_a_line_each(run):
+    lines = run("models").stdout.splitlines()
+    assert len(lines) == len(model_names())
+    assert all(re.match(rf"{name} +\S+ \S", line) for name, line in zip(model_names(), lines, strict=True))
+
+
+def test_methods_come_with_a_line_each(run):
+    pytest.importorskip("brdffit.fitting.method", reason="the nonlinear fit is not there yet")
+    lines = run("methods").stdout.splitlines()
+    assert len(lines) == len(method_names())
+    assert all(re.match(rf"{name} +\S+ \S", line) for name, line in zip(method_names(), lines, strict=True))
+
+
+def test_bake_passes_on_only_what_was_given(run, baked):
+    """Defaults stand in one place: BakeOptions, and the preset for what is auto."""
+    assert run("bake", "some/set", "--specular", "auto").exit_code == 0
+    assert baked.arguments == {
+        "source": "some/set", "output": Path("out"), "method": "bfgs", "preset": "plain", "bits": 8, "preview": True,
+        "wrap": "tile",
+    }  # fmt: skip
+
+
+def test_bake_passes_every_option_on(run, baked):
+    arguments = (
+        "set.gltf -o there --preset gltf --quality fine --method lean --model beckmann --pixel-filter mitchell "
+        "--levels 3 --threads 2 --normal-y dx --wrap clamp --keep-level-0 --min-roughness 0.1 --specular free "
+        "--lobe isotropic --normal mean --density uniform --bits 16 --role normal=a.png --role orm=b=c.png "
+        "--height-scale 4 --no-preview"
+    )
+    assert run("bake", *arguments.split()).exit_code == 0
+    assert baked.arguments == {
+        "source": "set.gltf", "output": Path("there"), "preset": "gltf", "quality": "fine", "method": "lean",
+        "model": "beckmann", "pixel_filter": "mitchell", "levels": 3, "threads": 2, "normal_y": "dx", "wrap": "clamp",
+        "keep_level_0": True, "min_roughness": 0.1, "specular": "free", "lobe": "isotropic", "normal": "mean",
+        "density": "uniform", "bits": 16, "roles": {"normal": "a.png", "orm": "b=c.png"}, "height_scale": 4.0,
+        "preview": False,
+    }  # fmt: skip
+    of_baking = {"source", "output", "preset", "method", "bits", "preview", "roles", "normal_y", "wrap", "height_scale"}
+    assert set(baked.arguments) - of_baking == {field.name for field in dataclasses.fields(BakeOptions)}
+
+
+def test_defaults_that_help_shows_are_those_of_the_options(run):
+    shown = " ".join(run("bake", "--help").stdout.split())
+    for option in ("quality", "model", "pixel_filter", "min_roughness", "normal", "density"):
+        stretch = re.search(rf"--{option.replace('_', '-')} .*?\[default: \(([^;)]+)\)", shown)
+        assert stretch and stretch[1] == str(getattr(BakeOptions(), option)), option
+    assert f"[{'|'.join(QUALITIES)}]" in shown
+
+
+def test_bake_reports_levels_notes_times_and_where_it_is(run, baked):
+    result = run("bake", "set")
+    first = next(line.split() for line in result.stdout.splitlines() if "8x4" in line)
+    assert first == ["0", "8x4", "17.2", "98.7%", "1", "64"]
+    second = next(line.split() for line in result.stdout.splitlines() if "4x2" in line)
+    assert second == ["1", "4x2", "-", "-", "1", "16"]
+    assert "A sentence for the user." in result.stdout and "fitting 1.5 s" in result.stdout
+    assert "preview.png" in result.stdout.splitlines()[-1]
+    # The compile is announced, and told apart.
+    assert "once on this machine" in result.stderr and "Compiled in" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "error", [InputError("'x.png' is empty, expected an image."), OutputError("No room in 'out'.")]
+)
+def test_bad_input_and_output_exit_with_1_and_their_sentence(run, baked, error):
+    baked.error = error
+    result = run("bake", "set")
+    assert result.exit_code == 1
+    assert str(error) in result.stderr and "Traceback" not in result.output
+    assert "8x4" not in result.stdout
+
+
+def test_a_name_that_turns_out_unknown_exits_with_2(run, baked):
+    baked.error = UnknownNameError("method", "no.module:Nothing", ["bfgs"])
+    assert run("bake", "set", "--method", "no.module:Nothing").exit_code == 2
+    assert baked.arguments["method"] == "no.module:Nothing"
+
+
+def test_an_interrupt_exits_with_130(run, baked):
+    baked.error = KeyboardInterrupt()
+    result = run("bake", "set")
+    assert result.exit_code == 130 and "Interrupted" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "option, wrong, near",
+    [("--method", "leann", "lean"), ("--model", "beckman", "beckmann"), ("--preset", "unrael", "unreal")],
+)
+def test_unknown_names_exit_with_2_and_the_nearest(run, baked, option, wrong, near):
+    result = run("bake", "set", option, wrong)
+    assert result.exit_code == 2 and f"did you mean '{near}'?" in result.stderr
+    assert baked.arguments is None
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    ["", "set --levels 0", "set --pixel-filter tent", "set --quality best", "set --bits 10", "set --role normal",
+     "set --role normal=", "set --role =a.png", "set --role normal=a --role normal=b", "set --min-roughness 0",
+     "set --threads 0", "set --normal-y up", "set --wrap mirror", "set --no-such-option", "set another"],
+)  # fmt: skip
+def test_a_wrong_command_line_exits_with_2(run, baked, arguments):
+    result = run("bake", *arguments.split())
+    assert result.exit_code == 2 and "Error" in result.stderr and baked.arguments is None
+
+
+def test_an_unknown_command_exits_with_2(run):
+    assert run("bakes").exit_code == 2
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_every_preset_is_accepted(run, baked, name):
+    assert run("bake", "set", "--preset", name).exit_code == 0
+    assert baked.arguments["preset"] == name
+
+
+def write_set(folder, roughness=0.5):
+    """A normal map of gentle waves and a roughness map, as 8-bit pictures."""
+    folder.mkdir(parents=True, exist_ok=True)
+    slope = 0.2 * np.sin(np.arange(16) * np.pi / 4)
+    normal = np.stack(np.broadcast_arrays(slope, slope[:, None], 1.0), axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    write_png(folder / "waves_NormalGL.png", np.rint(127.5 + 127.5 * normal).astype(np.uint8))
+    grey = np.linspace(roughness, roughness + 0.2, 256).reshape(16, 16, 1)
+    write_png(folder / "waves_Roughness.png", np.rint(255 * grey).astype(np.uint8))
+    return folder
+
+
+def test_inspect_tells_roles_conventions_and_statistics(run, tmp_path):
+    result = run("inspect", write_set(tmp_path / "waves"))
+    assert result.exit_code == 0, result.stderr
+    assert result.stdout.startswith("waves: 16x16, wrap tile, normal Y gl (name)")
+    assert re.search(r"normal +waves_NormalGL.png +16x16 +8 ", result.stdout)
+    assert re.search(r"roughness +waves_Roughness.png +16x16 +8 ", result.stdout)
+    mean = re.search(r"roughness mean +(\S+)", result.stdout)
+    assert mean and float(mean[1]) == pytest.approx(0.6, abs=0.01)
+
+
+def test_inspect_reads_as_it_is_told(run, tmp_path):
+    folder = write_set(tmp_path / "waves")
+    (folder / "waves_NormalGL.png").rename(folder / "bumps.png")
+    result = run("inspect", folder, "--role", "normal=bumps.png", "--normal-y", "dx", "--wrap", "clamp")
+    assert result.exit_code == 0, result.stderr
+    assert "wrap clamp, normal Y dx (given)" in result.stdout
+    assert "DirectX" in result.stdout
+
+
+def test_inspect_of_what_cannot_be_baked_exits_with_1(run, tmp_path):
+    folder = write_set(tmp_path / "waves")
+    write_png(folder / "waves_NormalGL.png", np.zeros((16, 16, 3), dtype=np.uint8))
+    result = run("inspect", folder)
+    assert result.exit_code == 1 and "Looks wrong" in result.stdout
+    missing = run("inspect", tmp_path / "nowhere")
+    assert missing.exit_code == 1 and "nowhere" in missing.stderr and not missing.stdout
+
+
+def test_the_console_script_points_here():
+    (script,) = [point for point in importlib.metadata.entry_points(group="console_scripts") if point.name == "brdffit"]
+    assert script.load() is main
