@@ -7,7 +7,10 @@ under each pixel and averages what they reflect, so it knows nothing of pyramids
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,21 +22,23 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 
 #: MIP levels shown, near to far.
 LEVELS = (1, 3, 5)
-BALL = 224
+BALL = 208
 _MARGIN, _GAP, _HEADER, _CAPTION = 28, 26, 64, 34
 _BACKGROUND = np.array([0.010, 0.011, 0.014], np.float32)
 _INK, _DIM = (236, 238, 242), (140, 146, 156)
 #: Sub-samples along each side of a pixel's footprint: two for each base texel, at most this many.
-_MOST_SUBSAMPLES = 12
+_MOST_SUBSAMPLES = 10
+#: Base texels along a side that the reference looks at; of a larger base a crop is shown.
+_MOST_BASE_TEXELS = 1024
 _CHUNK = 1 << 15
 
 #: Lights: direction (x right, y up, z to the viewer), irradiance RGB, alpha by which its size widens every highlight.
 _LIGHTS = (
-    ((-0.55, 0.60, 0.58), (3.1, 2.95, 2.7), 0.05),
-    ((0.85, -0.05, 0.30), (0.75, 0.95, 1.25), 0.08),
+    ((-0.55, 0.60, 0.58), (3.2, 3.1, 2.9), 0.09),
+    ((0.85, -0.05, 0.30), (0.9, 1.1, 1.4), 0.11),
 )
 #: Radiance of the surroundings straight above and straight below; between them it goes linearly.
-_SKY, _GROUND = (0.42, 0.46, 0.52), (0.10, 0.09, 0.085)
+_SKY, _GROUND = np.array((0.62, 0.63, 0.66), np.float32), np.array((0.10, 0.095, 0.09), np.float32)
 
 _PROFILES = {"ggx": shading.ggx_profile}
 
@@ -48,6 +53,7 @@ def make_preview(
     ball: int = BALL,
     base_profile: shading.Profile | None = None,
     fit_profile: shading.Profile | None = None,
+    threads: int | None = None,
 ) -> NDArray:
     """The comparison picture.
 
@@ -61,10 +67,12 @@ def make_preview(
         base_profile: lobe of ``base`` and ``naive``; None takes it by the model's name (GGX, else Beckmann, which is
             what the other models tend to).
         fit_profile: lobe of ``fit``.
+        threads: worker threads; None takes one a core, at most four. The picture does not depend on it.
 
     Returns:
         (H, W, 3) uint8, sRGB.
     """
+    threads = threads or min(4, os.cpu_count() or 1)
     depth = min(len(naive), len(fit))
     shown = [level for level in levels if level < depth] or [depth - 1]
     scene = _Scene(ball)
@@ -73,15 +81,24 @@ def make_preview(
     balls = []
     for mip_level in shown:
         size = level_sizes(base.size)[mip_level]
+        window = _window(base.size, size, ball)
         balls.append(
             [
-                light_level(naive[mip_level].svbrdf, scene, base_profile),
-                light_level(fit[mip_level].svbrdf, scene, fit_profile),
-                light_reference(base, size, scene, base_profile),
+                light_level(naive[mip_level].svbrdf, window, scene, base_profile),
+                light_level(fit[mip_level].svbrdf, window, scene, fit_profile),
+                light_reference(base, size, window, scene, base_profile, threads),
             ]
         )
-    exposure = 0.24 / max(float(np.mean([row[2].mean() for row in balls])), 1e-6)
+    exposure = 0.36 / max(float(np.mean([row[2].mean() for row in balls])), 1e-6)
     return _compose(balls, shown, scene, exposure, fit.method, title)
+
+
+def _window(base: tuple[int, int], size: tuple[int, int], ball: int) -> tuple[int, int]:
+    """How many rows and columns of a level are shown: as many as the ball has, or as a crop of the base has."""
+    rows, columns = (
+        min(level, ball, max(1, _MOST_BASE_TEXELS * level // full)) for full, level in zip(base, size, strict=True)
+    )
+    return rows, columns
 
 
 def profile_of(model: str) -> shading.Profile:
@@ -117,114 +134,132 @@ class _Scene:
             (local(direction), np.asarray(colour, np.float32), np.float32(alpha**2)) for direction, colour, alpha in _LIGHTS
         ]
 
-    def texels(self, size: tuple[int, int]) -> NDArray:
-        """Index into a level's texels (row by row) for each pixel; the texture repeats."""
-        return self.rows % size[0] * size[1] + self.columns % size[1]
+    def texels(self, size: tuple[int, int], window: tuple[int, int]) -> NDArray:
+        """Index into a level's texels (row by row) for each pixel; the level's first ``window`` texels repeat."""
+        return self.rows % window[0] * size[1] + self.columns % window[1]
 
 
-def light_level(level: Svbrdf, scene: _Scene, profile: shading.Profile) -> NDArray:
+def light_level(level: Svbrdf, window: tuple[int, int], scene: _Scene, profile: shading.Profile) -> NDArray:
     """Radiance (pixels, 3) of the ball from the texels of one MIP level."""
-    texels = scene.texels(level.size)
-    parameters = [level.normal, tensor_from_log(level.log_roughness), level.specular, level.diffuse]
-    planar = [np.moveaxis(array.reshape(-1, 3)[texels].T[:, :, None], 0, -1) for array in parameters]
-    shape = None if level.shape is None else level.shape.reshape(-1)[texels][:, None]
+    texels = scene.texels(level.size, window)
+    packed = _packed(level).reshape(level.size[0] * level.size[1], -1)
     return np.concatenate(
-        [
-            _radiance(scene, pixels, [array[pixels] for array in planar], profile, None if shape is None else shape[pixels])
-            for pixels in _chunks(len(texels), 1)
-        ]
+        [_radiance(scene, pixels, packed[texels[pixels]].T[:, :, None], profile) for pixels in _chunks(len(texels), 1)]
     )
 
 
-def light_reference(base: Svbrdf, size: tuple[int, int], scene: _Scene, profile: shading.Profile) -> NDArray:
-    """Radiance (pixels, 3) of the ball, each pixel the mean over its footprint of what the base reflects there."""
-    texels = scene.texels(size)
+def light_reference(
+    base: Svbrdf,
+    size: tuple[int, int],
+    window: tuple[int, int],
+    scene: _Scene,
+    profile: shading.Profile,
+    threads: int | None = None,
+) -> NDArray:
+    """Radiance (pixels, 3) of the ball, each pixel the mean over its footprint of what the base reflects there.
+
+    ``size`` is the level's, ``window`` how many of its texels are shown.
+    """
+    texels = scene.texels(size, window)
     # Pixels that show the same texel lie together, so its footprint is looked up once.
     order = np.argsort(texels, kind="stable")
-    scale = max(base.size[0] / size[0], base.size[1] / size[1])
-    side = int(min(max(2, np.ceil(2 * scale)), _MOST_SUBSAMPLES))
+    scale = base.size[0] / size[0], base.size[1] / size[1]
+    side = int(min(max(2, np.ceil(2 * max(scale))), _MOST_SUBSAMPLES))
+    shown = [_neighbourhood(base, axis, math.ceil(window[axis] * scale[axis])) for axis in (0, 1)]
+    rows, columns = shown
+    packed = _packed(base.replace(**{name: array[rows][:, columns] for name, array in base.arrays().items()}))
     radiance = np.empty((len(texels), 3), np.float32)
-    for chunk in _chunks(len(texels), side * side):
+
+    def light_chunk(chunk: slice) -> None:
         pixels = order[chunk]
         needed, where = np.unique(texels[pixels], return_inverse=True)
-        arrays = _footprint(base, size, needed, side)
-        shape = arrays.pop(4)[..., 0][where] if base.shape is not None else None
-        planar = [np.moveaxis(np.moveaxis(array, -1, 0)[:, where], 0, -1) for array in arrays]
-        radiance[pixels] = _radiance(scene, pixels, planar, profile, shape)
+        samples = _bilinear(packed, needed, size[1], scale, side)
+        radiance[pixels] = _radiance(scene, pixels, np.moveaxis(samples[where], -1, 0), profile)
+
+    # numpy lets go of the interpreter lock in its loops; each pixel is the sum of its own samples, whoever adds them.
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(light_chunk, _chunks(len(texels), side * side)))
     return radiance
 
 
-def _footprint(base: Svbrdf, size: tuple[int, int], texels: NDArray, side: int) -> list[NDArray]:
-    """Normal, tensor, specular, diffuse (and shape) at side x side points under each texel: (texels, side^2, ...).
+def _neighbourhood(base: Svbrdf, axis: int, texels: int) -> NDArray:
+    """Indices of the first ``texels`` base texels along an axis and of one more at each end, as the base wraps."""
+    index = np.arange(-1, texels + 1)
+    return index % base.size[axis] if base.wrap == "tile" else np.clip(index, 0, base.size[axis] - 1)
 
-    The base is bilinear between its texel centres, in what textures store; normals are made unit again.
+
+def _packed(svbrdf: Svbrdf) -> NDArray:
+    """All parameters of a texel side by side, (H, W, 12 or 13): a look-up costs one cache line, not five."""
+    arrays = [svbrdf.normal, svbrdf.log_roughness, svbrdf.specular, svbrdf.diffuse]
+    if svbrdf.shape is not None:
+        arrays.append(svbrdf.shape[..., None])
+    return np.ascontiguousarray(np.concatenate(arrays, axis=-1))
+
+
+def _bilinear(packed: NDArray, texels: NDArray, level_width: int, scale: tuple[float, float], side: int) -> NDArray:
+    """Parameters at side x side points under each of a level's texels, (texels, side^2, C).
+
+    The base is bilinear between its texel centres; ``packed`` begins one texel before it.
     """
-    row, column = np.divmod(texels, size[1])
+    row, column = np.divmod(texels, level_width)
     offset = (np.arange(side) + 0.5) / side
-    y = ((row[:, None] + offset) * (base.size[0] / size[0]) - 0.5)[:, :, None]
-    x = ((column[:, None] + offset) * (base.size[1] / size[1]) - 0.5)[:, None, :]
-    corners = []
-    for at, length in ((y, base.size[0]), (x, base.size[1])):
-        low = np.floor(at).astype(int)
-        pair = (low % length, (low + 1) % length) if base.wrap == "tile" else np.clip((low, low + 1), 0, length - 1)
-        corners.append((pair, (at - low).astype(np.float32)))
-    (rows, down), (columns, right) = corners
-    indices = [r * base.size[1] + c for r in rows for c in columns]
-    weights = [(v * h)[..., None] for v in (1.0 - down, down) for h in (1.0 - right, right)]
-
-    def fetch(array: NDArray) -> NDArray:
-        flat = array.reshape(base.size[0] * base.size[1], -1)
-        total = sum(weight * flat[index] for weight, index in zip(weights, indices, strict=True))
-        return np.asarray(total).reshape(len(texels), side * side, -1)
-
-    arrays = [
-        shading.normalise(fetch(base.normal)),
-        tensor_from_log(fetch(base.log_roughness)),
-        fetch(base.specular),
-        fetch(base.diffuse),
-    ]
-    return arrays if base.shape is None else [*arrays, fetch(base.shape)]
+    y = ((row[:, None] + offset) * scale[0] + 0.5)[:, :, None]
+    x = ((column[:, None] + offset) * scale[1] + 0.5)[:, None, :]
+    top, left = y.astype(np.int32), x.astype(np.int32)
+    down, right = (y - top).astype(np.float32), (x - left).astype(np.float32)
+    flat = packed.reshape(-1, packed.shape[2])
+    first = top * packed.shape[1] + left
+    samples = flat[first] * ((1.0 - down) * (1.0 - right))[..., None]
+    samples += flat[first + 1] * ((1.0 - down) * right)[..., None]
+    samples += flat[first + packed.shape[1]] * (down * (1.0 - right))[..., None]
+    samples += flat[first + packed.shape[1] + 1] * (down * right)[..., None]
+    return samples.reshape(len(texels), side * side, -1)
 
 
-def _radiance(
-    scene: _Scene, pixels: NDArray | slice, parameters: list[NDArray], profile: shading.Profile, shape: NDArray | None
-) -> NDArray:
-    """Mean radiance (n, 3) of n pixels over their samples; parameters are (n, samples, 3)."""
-    normal, tensor, specular, diffuse = parameters
+def _radiance(scene: _Scene, pixels: NDArray | slice, packed: NDArray, profile: shading.Profile) -> NDArray:
+    """Mean radiance (n, 3) of n pixels over their samples; packed parameters are (C, n, samples)."""
+    parameters = np.moveaxis(np.ascontiguousarray(packed[:12]).reshape(4, 3, *packed.shape[1:]), 1, -1)
+    normal, tensor = shading.normalise(parameters[0]), tensor_from_log(parameters[1])
+    specular, under = parameters[2], parameters[3] * shading.under_specular(parameters[2])
+    shape = packed[12] if len(packed) > 12 else None
     view = scene.view[pixels][:, None]
-    total = _surroundings(view, scene.up[pixels][:, None], normal, tensor, specular, diffuse)
+    of_view = shading.into_frame(view, normal)
+    total = _surroundings(view, scene.up[pixels][:, None], of_view[..., 2], normal, tensor, specular, under)
     for direction, colour, size in scene.lights:
         # The light's size widens every lobe alike: a soft box, not a point that no texture could be judged by.
-        widened = tensor + np.array([size, size, 0.0], np.float32)
+        widened = shading.components(tensor[..., 0] + size, tensor[..., 1] + size, tensor[..., 2])
         light = direction[pixels][:, None]
-        lit = shading.brdf(light, view, normal, widened, specular, diffuse, profile=profile, shape=shape)
+        plain, peak, matt = shading.brdf_terms(light, of_view, view, normal, widened, specular, profile, shape)
+        lit = _weighted_mean(plain, specular) + peak.mean(axis=1)[:, None] + _weighted_mean(matt, under)
         # The ball shadows itself where the light is below its own horizon.
-        facing = np.clip(light[..., 2] * 8.0 + 0.5, 0.0, 1.0)[..., 0]
-        total = total + lit.mean(axis=1) * facing[:, None] * (colour * np.pi)
+        facing = np.clip(light[:, 0, 2:] * 8.0 + 0.5, 0.0, 1.0)
+        total += lit * facing * (colour * np.pi)
     return total
 
 
 def _surroundings(
-    view: NDArray, up: NDArray, normal: NDArray, tensor: NDArray, specular: NDArray, diffuse: NDArray
+    view: NDArray, up: NDArray, facing: NDArray, normal: NDArray, tensor: NDArray, specular: NDArray, under: NDArray
 ) -> NDArray:
     """Reflection of surroundings whose radiance is linear in the direction's height: (n, 3), the mean over samples.
 
     A linear radiance stays linear under any lobe; blur only flattens its slope, by 2/3 for the diffuse part and by
-    1 / (1 + alpha^2) for the specular one.
+    about 1 / (1 + alpha^2) for the specular one.
     """
-    sky, ground = np.asarray(_SKY, np.float32), np.asarray(_GROUND, np.float32)
-    facing = shading.dot(view, normal)
+    middle, slope = 0.5 * (_SKY + _GROUND), 0.5 * (_SKY - _GROUND)
     height = shading.dot(up, normal)
     mirrored = 2.0 * facing * height - shading.dot(up, view)
-    mirrored = mirrored / (1.0 + 0.5 * (tensor[..., 0] + tensor[..., 1]))
+    mirrored /= 1.0 + 0.5 * (tensor[..., 0] + tensor[..., 1])
     grazing = shading.schlick(np.maximum(facing, 0.0), specular)
-    out = []
-    for i in range(3):
-        middle, slope = 0.5 * (sky[i] + ground[i]), 0.5 * (sky[i] - ground[i])
-        gloss = (specular[..., i] * (1.0 - grazing) + grazing) * (middle + slope * mirrored)
-        matt = diffuse[..., i] * np.maximum(1.0 - specular[..., i], 0.0) * (middle + slope * height * (2.0 / 3.0))
-        out.append((gloss + matt).mean(axis=1))
-    return np.stack(out, axis=-1)
+    plain = 1.0 - grazing
+    gloss = middle * _weighted_mean(plain, specular) + slope * _weighted_mean(plain * mirrored, specular)
+    peak = middle * grazing.mean(axis=1)[:, None] + slope * (grazing * mirrored).mean(axis=1)[:, None]
+    matt = middle * under.mean(axis=1) + slope * (2.0 / 3.0) * _weighted_mean(height, under)
+    return gloss + peak + matt
+
+
+def _weighted_mean(weight: NDArray, colour: NDArray) -> NDArray:
+    """Mean over samples of weight (n, samples) times colour (n, samples, 3): (n, 3)."""
+    return np.stack([np.einsum("ps,ps->p", weight, colour[..., i]) for i in range(3)], axis=-1) / np.float32(weight.shape[1])
 
 
 def _chunks(pixels: int, samples: int) -> Iterator[slice]:

@@ -36,7 +36,9 @@ def beckmann_profile(q: NDArray, C: NDArray, shape: NDArray | None = None) -> ND
 
 def components(x: NDArray, y: NDArray, z: NDArray) -> NDArray:
     """Vectors (..., 3) of their components, planar in memory."""
-    return np.moveaxis(np.stack(np.broadcast_arrays(x, y, z)), 0, -1)
+    out = np.empty((3, *np.broadcast_shapes(x.shape, y.shape, z.shape)), np.result_type(x, y, z))
+    out[0], out[1], out[2] = x, y, z
+    return np.moveaxis(out, 0, -1)
 
 
 def dot(one: NDArray, other: NDArray) -> NDArray:
@@ -56,8 +58,10 @@ def into_frame(vector: NDArray, normal: NDArray) -> NDArray:
     """
     x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
     along = vector[..., 0] * x + vector[..., 1] * y
-    k = along / np.maximum(1.0 + z, 1e-6) + vector[..., 2]
-    return components(vector[..., 0] - k * x, vector[..., 1] - k * y, along + vector[..., 2] * z)
+    k = along / np.maximum(1.0 + z, 1e-6)
+    k += vector[..., 2]
+    along += vector[..., 2] * z
+    return components(vector[..., 0] - k * x, vector[..., 1] - k * y, along)
 
 
 def distribution(
@@ -67,17 +71,17 @@ def distribution(
     xx, yy, xy = tensor[..., 0], tensor[..., 1], tensor[..., 2]
     x, y, z = half[..., 0], half[..., 1], half[..., 2]
     determinant = np.maximum(xx * yy - xy * xy, np.finfo(np.float32).tiny)
-    q = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
+    q = (x * (yy * x - 2.0 * xy * y) + xx * y * y) / determinant
     return profile(np.maximum(q, 0.0), z * z, shape) / (np.pi * np.sqrt(determinant))
 
 
 def smith_visibility(light: NDArray, view: NDArray, tensor: NDArray) -> NDArray:
-    """G2 / (4 n.l n.v) (...) of directions (..., 3) in the frame of the normal, both above the horizon.
+    """G2 / (4 n.l n.v) (...) of directions (..., 3) in the frame of the normal, held above the horizon.
 
     Height-correlated Smith for GGX: 1 / (2 (n.l sqrt(n.v^2 + v' Sigma v) + n.v sqrt(n.l^2 + l' Sigma l))). Other lobes
     use it too: masking differs between them by less than a picture shows.
     """
-    n_l, n_v = light[..., 2], view[..., 2]
+    n_l, n_v = np.maximum(light[..., 2], _LEAST_COSINE), np.maximum(view[..., 2], _LEAST_COSINE)
     return 0.5 / (n_l * np.sqrt(n_v * n_v + _stretch(view, tensor)) + n_v * np.sqrt(n_l * n_l + _stretch(light, tensor)))
 
 
@@ -117,27 +121,45 @@ def brdf(
         profile: the lobe.
         shape: (...) further parameter of the lobe.
     """
-    half = normalise(light + view)
-    of_light, of_view = into_frame(light, normal), into_frame(view, normal)
+    plain, peak, matt = brdf_terms(light, into_frame(view, normal), view, normal, tensor, specular, profile, shape)
+    matt = (diffuse * under_specular(specular)) * matt[..., None]
+    return specular * plain[..., None] + peak[..., None] + matt
+
+
+def under_specular(specular: NDArray) -> NDArray:
+    """What the lobe leaves to the diffuse part at normal incidence, 1 - specular (..., 3), held at 0 for a scale above 1."""
+    return np.maximum(1.0 - specular, 0.0)
+
+
+def brdf_terms(
+    light: NDArray,
+    of_view: NDArray,
+    view: NDArray,
+    normal: NDArray,
+    tensor: NDArray,
+    specular: NDArray,
+    profile: Profile = ggx_profile,
+    shape: NDArray | None = None,
+) -> tuple[NDArray, NDArray, NDArray]:
+    """The BRDF times n.l in three terms (...): specular * plain + peak + diffuse * under_specular(specular) * matt.
+
+    For renderers that average many texels: colours enter as plain sums. ``of_view`` is ``into_frame(view, normal)``,
+    the same for every light; the rest is as in `brdf`.
+    """
+    middle = light + view
+    per_length = 1.0 / np.sqrt(dot(middle, middle))
+    of_light = into_frame(light, normal)
+    # The frame is a rotation, so the half vector in it is the half vector of what is in it.
+    lobe = distribution((of_light + of_view) * per_length[..., None], tensor, profile, shape)
     lit = (of_light[..., 2] > 0.0) & (of_view[..., 2] > 0.0)
-    of_light[..., 2] = np.maximum(of_light[..., 2], _LEAST_COSINE)
-    of_view[..., 2] = np.maximum(of_view[..., 2], _LEAST_COSINE)
     cosine = np.where(lit, of_light[..., 2], 0.0)
-    lobe = distribution(into_frame(half, normal), tensor, profile, shape)
-    lobe = lobe * smith_visibility(of_light, of_view, tensor) * cosine
-    grazing = schlick(dot(view, half), specular)
-    matt = cosine * (1.0 - grazing) * (1.0 / np.pi)
-    plain = lobe * (1.0 - grazing)
+    lobe *= smith_visibility(of_light, of_view, tensor)
+    lobe *= cosine
+    grazing = schlick(dot(view, middle) * per_length, specular)
     peak = lobe * grazing
-    # 1 - F = (1 - specular)(1 - grazing), held at 0 for a scale above 1.
-    return components(
-        *(
-            specular[..., i] * plain + peak + diffuse[..., i] * np.maximum(1.0 - specular[..., i], 0.0) * matt
-            for i in range(3)
-        )
-    )
+    return lobe - peak, peak, cosine * (1.0 - grazing) * (1.0 / np.pi)
 
 
 def _stretch(direction: NDArray, tensor: NDArray) -> NDArray:
     x, y = direction[..., 0], direction[..., 1]
-    return tensor[..., 0] * x * x + 2.0 * tensor[..., 2] * x * y + tensor[..., 1] * y * y
+    return x * (tensor[..., 0] * x + 2.0 * tensor[..., 2] * y) + tensor[..., 1] * y * y

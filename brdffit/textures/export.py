@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.methods import Pyramid
 from brdffit.roughness import tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -165,26 +166,12 @@ def _write_exr_files(pyramid: Pyramid, fresh: Path) -> list[int]:
     for file_name, channels, quantity in files:
         levels = [_in_bands(level.svbrdf, quantity, len(channels)) for level in pyramid.levels]
         for size in sizes[len(levels) :]:
-            averaged = halve(levels[-1], size)
+            averaged = filter_channels(levels[-1], size, get_pixel_filter("box"), pyramid[0].svbrdf.wrap)
             if file_name == "normal":
                 averaged = _normalised(averaged)
             levels.append(averaged)
         write_mip_exr(fresh / f"{file_name}.exr", levels, channels)
     return list(range(len(pyramid), len(sizes)))
-
-
-def halve(pixels: NDArray, size: tuple[int, int]) -> NDArray:
-    """Box average of (H, W, C) pixels to the next level's (height, width); every texel counts by its share of area."""
-    for axis, length in enumerate(size):
-        edges = np.linspace(0.0, pixels.shape[axis], length + 1)
-        # The integral of the rows up to each edge; its differences are the sums under each target texel.
-        flat = np.moveaxis(pixels, axis, 0).astype(np.float64)
-        integral = np.concatenate([np.zeros_like(flat[:1]), np.cumsum(flat, axis=0)])
-        whole = np.minimum(edges.astype(int), len(flat) - 1)
-        part = (edges - whole).reshape(-1, *[1] * (flat.ndim - 1))
-        at_edges = integral[whole] + part * flat[whole]
-        pixels = np.moveaxis(np.diff(at_edges, axis=0) * (length / len(flat)), 0, axis)
-    return pixels.astype(np.float32)
 
 
 def _normalised(normal: NDArray) -> NDArray:
