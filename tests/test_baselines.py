@@ -98,7 +98,7 @@ def test_is_a_method_with_a_one_line_summary(name):
 
 
 @baselines
-@pytest.mark.parametrize("pixel_filter, wrap", itertools.product(["box", "gaussian", "mitchell"], ["tile", "clamp"]))
+@pytest.mark.parametrize("pixel_filter, wrap", [*itertools.product(["box", "gaussian", "mitchell"], ["tile", "clamp"])])
 def test_constant_material_is_returned_at_every_level(name, pixel_filter, wrap):
     # Flat for the two that change normals by design.
     normal = (0, 0, 1) if name in ("flatten", "height") else (0.3, -0.4, 0.8)
