@@ -131,7 +131,8 @@ class _Scene:
         self.view = local((0.0, 0.0, 1.0))
         self.up = local((0.0, 1.0, 0.0))
         self.lights = [
-            (local(direction), np.asarray(colour, np.float32), np.float32(alpha**2)) for direction, colour, alpha in _LIGHTS
+            (local(direction), np.asarray(colour, np.float32), np.float32(alpha**2))
+            for direction, colour, alpha in _LIGHTS
         ]
 
     def texels(self, size: tuple[int, int], window: tuple[int, int]) -> NDArray:
@@ -249,7 +250,7 @@ def _surroundings(
     height = shading.dot(up, normal)
     mirrored = 2.0 * facing * height - shading.dot(up, view)
     mirrored /= 1.0 + 0.5 * (tensor[..., 0] + tensor[..., 1])
-    grazing = shading.schlick(np.maximum(facing, 0.0), specular)
+    grazing = shading.schlick(facing) * shading.rim(specular)
     plain = 1.0 - grazing
     gloss = middle * _weighted_mean(plain, specular) + slope * _weighted_mean(plain * mirrored, specular)
     peak = middle * grazing.mean(axis=1)[:, None] + slope * (grazing * mirrored).mean(axis=1)[:, None]
@@ -259,7 +260,8 @@ def _surroundings(
 
 def _weighted_mean(weight: NDArray, colour: NDArray) -> NDArray:
     """Mean over samples of weight (n, samples) times colour (n, samples, 3): (n, 3)."""
-    return np.stack([np.einsum("ps,ps->p", weight, colour[..., i]) for i in range(3)], axis=-1) / np.float32(weight.shape[1])
+    sums = [np.einsum("ps,ps->p", weight, colour[..., i]) for i in range(3)]
+    return np.stack(sums, axis=-1) / np.float32(weight.shape[1])
 
 
 def _chunks(pixels: int, samples: int) -> Iterator[slice]:

@@ -1,4 +1,4 @@
-"""The whole BRDF in plain numpy: lobe, masking and shadowing, Fresnel, diffuse. One place for all that renders.
+"""The whole BRDF in plain numpy: lobe, masking and shadowing, Fresnel, diffuse: one place for all that renders.
 
 Vectors are (..., 3) and broadcast; directions point away from the surface. Results keep their three components apart
 in memory (planar), which is what makes their slices fast.
@@ -82,18 +82,22 @@ def smith_visibility(light: NDArray, view: NDArray, tensor: NDArray) -> NDArray:
     use it too: masking differs between them by less than a picture shows.
     """
     n_l, n_v = np.maximum(light[..., 2], _LEAST_COSINE), np.maximum(view[..., 2], _LEAST_COSINE)
-    return 0.5 / (n_l * np.sqrt(n_v * n_v + _stretch(view, tensor)) + n_v * np.sqrt(n_l * n_l + _stretch(light, tensor)))
+    return 0.5 / (
+        n_l * np.sqrt(n_v * n_v + _stretch(view, tensor)) + n_v * np.sqrt(n_l * n_l + _stretch(light, tensor))
+    )
 
 
-def schlick(cosine: NDArray, specular: NDArray) -> NDArray:
-    """Weight w (...) of grazing reflection at v.h = cosine: F = specular + (1 - specular) w.
-
-    It fades where specular (..., 3) is below 2%, so that a material without reflection has none at its rim either.
-    """
-    strongest = np.maximum(np.maximum(specular[..., 0], specular[..., 1]), specular[..., 2])
+def schlick(cosine: NDArray) -> NDArray:
+    """Weight w (...) of grazing reflection at v.h = cosine: F = specular + (1 - specular) w."""
     m = np.clip(1.0 - cosine, 0.0, 1.0)
     m2 = m * m
-    return m2 * m2 * m * np.minimum(strongest / _LEAST_REFLECTANCE, 1.0)
+    return m2 * m2 * m
+
+
+def rim(specular: NDArray) -> NDArray:
+    """Factor (...) of `schlick`: 1, but fading where specular (..., 3) is below 2%, so that black stays black."""
+    strongest = np.maximum(np.maximum(specular[..., 0], specular[..., 1]), specular[..., 2])
+    return np.minimum(strongest / _LEAST_REFLECTANCE, 1.0)
 
 
 def brdf(
@@ -109,7 +113,10 @@ def brdf(
 ) -> NDArray:
     """The BRDF times n.l, (..., 3): what a directional light of unit irradiance sends to the viewer.
 
-    F D G2 / (4 n.l n.v) n.l + (1 - F) diffuse n.l / pi; zero where light or viewer is below the texel's horizon.
+    F D G2 / (4 n.l n.v) n.l + diffuse (1 - specular)(1 - w(n.l))(1 - w(n.v)) n.l / pi, w of `schlick`; zero where light
+    or viewer is below the texel's horizon. What a smooth surface reflects, F(n.v), and what is left to the diffuse part
+    add up to at most 1 (Shirley et al. 1997); with 1 - F(v.h) in its place, white plastic would give back 115% at 75
+    degrees.
 
     Args:
         light: (..., 3) unit vectors to the light, tangent space of the texture.
@@ -155,9 +162,10 @@ def brdf_terms(
     cosine = np.where(lit, of_light[..., 2], 0.0)
     lobe *= smith_visibility(of_light, of_view, tensor)
     lobe *= cosine
-    grazing = schlick(dot(view, middle) * per_length, specular)
-    peak = lobe * grazing
-    return lobe - peak, peak, cosine * (1.0 - grazing) * (1.0 / np.pi)
+    edge = rim(specular)
+    peak = lobe * schlick(dot(view, middle) * per_length) * edge
+    through = (1.0 - schlick(of_light[..., 2]) * edge) * (1.0 - schlick(of_view[..., 2]) * edge)
+    return lobe - peak, peak, cosine * through * np.float32(1.0 / np.pi)
 
 
 def _stretch(direction: NDArray, tensor: NDArray) -> NDArray:

@@ -42,8 +42,8 @@ def check_writable(folder: str | Path, size: tuple[int, int] | None = None) -> N
     Raises:
         OutputError: when it cannot; the sentence says why.
     """
-    # Four EXR files of three floats, hardly compressible, and some four pictures of three bytes; 4/3 for the levels.
-    needed = 0 if size is None else int(size[0] * size[1] * (4 * 12 + 4 * 3) * 4 / 3)
+    # Four EXR files of three floats and four pictures of four 16-bit channels, uncompressed; 4/3 for the levels.
+    needed = 0 if size is None else int(size[0] * size[1] * (4 * 12 + 4 * 8) * 4 / 3)
     atomic.check_writable(folder, foreign_file, needed)
 
 
@@ -88,12 +88,18 @@ def write_pyramid(
         filled = _write_exr_files(pyramid, fresh)
         record["filled_levels"] = filled
         record["pictures"] = _write_pictures(pyramid, fresh, name, chosen, bits)
-        record["preset"] = {"name": chosen.name, "normal_y": chosen.normal_y, "roughness": chosen.roughness, "bits": bits}
+        record["preset"] = {
+            "name": chosen.name,
+            "normal_y": chosen.normal_y,
+            "roughness": chosen.roughness,
+            "bits": bits,
+        }
         if preview is not None:
             write_png(fresh / "preview.png", preview)
         paths = sorted(path for path in fresh.rglob("*") if path.is_file())
         record["files"] = {
-            path.relative_to(fresh).as_posix(): {"bytes": path.stat().st_size, "sha256": file_digest(path)} for path in paths
+            path.relative_to(fresh).as_posix(): {"bytes": path.stat().st_size, "sha256": file_digest(path)}
+            for path in paths
         }
         record["stable_digest"] = stable_digest(record)
         (fresh / FILE_NAME).write_text(to_json(record), encoding="utf-8")
