@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 from brdffit._jit import kernel, numba_type, specialise, types
 from brdffit.fitting.bfgs import WORK
 from brdffit.fitting.status import CONVERGED, FALLBACK, FLAT, REFINED
-from brdffit.fitting.texel import DISAGREEMENT, EVALUATIONS, REPORT, RESIDUAL, Scratch, Search, fit_texel
+from brdffit.fitting.texel import DISAGREEMENT, EVALUATIONS, REPORT, RESIDUAL, TOO_COARSE, Scratch, Search, fit_texel
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
 from brdffit.models import Model
+
+
+# A disagreement of this relative squared error (50 dB) is never worth another rule.
+_NEGLIGIBLE = 1e-5
 
 
 class Output(NamedTuple):
@@ -55,31 +59,41 @@ def diffuse_scale(moment, channel, n_x, n_y, n_z, exponent):
 
 @kernel
 def fit_rows(
-    base, strata, points, fine_strata, fine_points, columns, rows, search, scratch, fine_scratch, output,
+    base, strata, points, scratch, strata_1, points_1, scratch_1, strata_2, points_2, scratch_2,
+    columns, rows, search, output,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
 ):  # fmt: skip
     """Fit the texels (columns[i], rows[i]) of a level into row i of the outputs (flattened over texels).
 
-    A texel whose two half rules disagree by more than ``search.trusted`` of its residual is done again with the fine
-    rule; one whose search fails, or whose result is not finite, gets its closed-form start.
+    Three rules, each finer than the one before. A texel goes on to the next where the strata are too coarse for its
+    lobes, or where the two halves of the rule disagree by more than ``search.trusted`` of the residual; one whose
+    search fails, or whose result is not finite, gets its closed-form start.
     """
     moment = np.zeros(9)
     report = np.zeros(REPORT)
-    first = np.zeros(REPORT)
     for i in range(columns.size):
         status = fit_texel(
-            base, strata, points, columns[i], rows[i], search, scratch, moment, report,
+            base, strata, points, columns[i], rows[i], search, scratch, moment, report, False,
             tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
         )  # fmt: skip
-        theta = scratch.theta
+        theta, best, colour = scratch.theta, scratch.best, scratch.colour
         evaluations = report[EVALUATIONS]
-        if status != FLAT and report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + 1e-5:
+        doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + _NEGLIGIBLE
+        if status == TOO_COARSE or (status != FLAT and doubtful):
             status = fit_texel(
-                base, fine_strata, fine_points, columns[i], rows[i], search, fine_scratch, moment, report,
+                base, strata_1, points_1, columns[i], rows[i], search, scratch_1, moment, report, False,
                 tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
             )  # fmt: skip
-            theta = fine_scratch.theta
+            theta, best, colour = scratch_1.theta, scratch_1.best, scratch_1.colour
             evaluations += report[EVALUATIONS]
+            doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + _NEGLIGIBLE
+            if status == TOO_COARSE or doubtful:
+                status = fit_texel(
+                    base, strata_2, points_2, columns[i], rows[i], search, scratch_2, moment, report, True,
+                    tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
+                )  # fmt: skip
+                theta, best, colour = scratch_2.theta, scratch_2.best, scratch_2.colour
+                evaluations += report[EVALUATIONS]
             if status == CONVERGED:
                 status = REFINED
         total = 0.0
@@ -89,9 +103,9 @@ def fit_rows(
             status = FALLBACK
         if status == FALLBACK:
             for p in range(6):
-                theta[p] = scratch.best[p]
+                theta[p] = best[p]
             for k in range(3):
-                report[k] = scratch.colour[k]
+                report[k] = colour[k]
         inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
         n_x, n_y, n_z = -theta[0] * inverse, -theta[1] * inverse, inverse
         output.normal[i, 0], output.normal[i, 1], output.normal[i, 2] = n_x, n_y, n_z
@@ -176,22 +190,21 @@ def _example(float_width: int) -> tuple[Any, ...]:
     """Arguments of ``fit_rows`` up to the functions, for their types alone."""
     image, plane, line = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32), np.zeros(1)
     strata = Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0)
-    rule = Rule(strata, np.zeros((1, 4)))
-    base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, True)
-    search = Search(0, False, 3, 0.0, 0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0)
-    scratch = make_scratch(rule, float_width)
+    rule = Rule(strata, np.zeros((3, 1), np.float32))
+    base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, False, True)
+    search = Search(0, False, 3, 0.0, 0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0)
+    one_rule = (strata, rule.points, make_scratch(rule, float_width))
     indices = np.zeros(1, np.int64)
-    return base, strata, rule.points, strata, rule.points, indices, indices, search, scratch, scratch, make_output(1)
+    return base, *one_rule, *one_rule, *one_rule, indices, indices, search, make_output(1)
 
 
 def make_scratch(rule: Rule, float_width: int = 32) -> Scratch:
     """Scratch arrays for one worker and one rule."""
-    count, nodes = rule.strata.count, len(rule.points)
+    count, nodes = rule.strata.count, rule.points.shape[1]
     real = np.float32 if float_width == 32 else np.float64
     return Scratch(
         lobes=np.zeros((count, quadrature.LOBE_COLUMNS)),
         nodes=np.zeros((quadrature.NODE_ROWS, nodes), real),
-        log_k=np.zeros(count),
         values=np.zeros(nodes, real),
         work=np.zeros(WORK),
         setting=np.zeros(6),
@@ -218,13 +231,11 @@ def make_output(texels: int) -> Output:
 
 
 def fit_texels(
-    base: Base, rule: Rule, fine_rule: Rule, columns: NDArray, rows: NDArray, search: Search, output: Output,
+    base: Base, rules: tuple[Rule, Rule, Rule], columns: NDArray, rows: NDArray, search: Search, output: Output,
     kernels: ModelKernels, float_width: int = 32,
 ) -> None:  # fmt: skip
     """Fit texels (columns[i], rows[i]) into ``output``; releases the GIL."""
-    fitting_kernel(float_width)(
-        base, rule.strata, rule.points, fine_rule.strata, fine_rule.points, columns, rows, search,
-        make_scratch(rule, float_width), make_scratch(fine_rule, float_width), output, *kernels,
-    )  # fmt: skip
-
-
+    arguments: list[Any] = []
+    for rule in rules:
+        arguments += [rule.strata, rule.points, make_scratch(rule, float_width)]
+    fitting_kernel(float_width)(base, *arguments, columns, rows, search, output, *kernels)

@@ -23,7 +23,9 @@ from brdffit.halfangle.objective import PARAMETERS, evaluate
 _SHIFT, _SIZE, _STRETCH, _SHAPE = 0.65, 1.8, 1.6, 1.0
 _LONGEST_STEP = 2.0
 _ARMIJO = 1e-4
-_BACKTRACKS = 12
+_BACKTRACKS = 8
+# Sums of a few hundred float32 terms around 1: no decrease below this can be told from rounding.
+_NOISE = 5e-7
 
 # What is fitted besides the scale: bits of a mask.
 FREE_NORMAL, FREE_ANISOTROPY, FREE_SHAPE = 1, 2, 4
@@ -89,7 +91,7 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
             length += s * s
         if not math.isfinite(slope):
             return value, evaluations, FALLBACK
-        if -0.5 * slope <= tolerance * max(1.0 + value, 1e-7):
+        if -0.5 * slope <= max(tolerance * (1.0 + value), _NOISE):
             return value, evaluations, CONVERGED
         length = math.sqrt(length)
         t = 1.0 if length <= _LONGEST_STEP else _LONGEST_STEP / length

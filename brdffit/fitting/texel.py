@@ -15,7 +15,7 @@ from brdffit.fitting.status import (
     FLAT,
     NO_SPECULAR,
 )
-from brdffit.halfangle.apparent_lobe import gather_lobes
+from brdffit.halfangle.apparent_lobe import gather_lobes, normalise_mixture, normalise_shapes
 from brdffit.halfangle.frame import eigen_log, tangent_frame
 from brdffit.halfangle.objective import (
     HELD,
@@ -23,8 +23,10 @@ from brdffit.halfangle.objective import (
     SCALE,
     TARGET,
     evaluate,
+    evaluate_value,
 )
 from brdffit.halfangle.quadrature import (
+    ALPHA_SQUARED,
     BLUE,
     GREEN,
     LOBE_COLUMNS,
@@ -39,6 +41,8 @@ from brdffit.halfangle.quadrature import (
     weigh_nodes,
 )
 
+real = np.float32
+
 # What a fit reports of itself, besides its parameters.
 RED_SCALE, GREEN_SCALE, BLUE_SCALE, RESIDUAL, DISAGREEMENT, EVALUATIONS, TARGET_NORM = range(7)
 REPORT = 7
@@ -49,6 +53,9 @@ _FLAT_SHARE = 1e-3
 _START_SHARES = (1.0, 0.4, 0.12)
 _STEEPEST_SLOPE = 20.0
 
+#: What ``fit_texel`` returns when the rule's strata are too coarse for the footprint; never a texel's final status.
+TOO_COARSE = 255
+
 
 class Search(NamedTuple):
     """How the search goes on, the same for all texels.
@@ -56,7 +63,8 @@ class Search(NamedTuple):
     ``free``: mask of what is fitted; ``exponent``: of z.h in the half-angle density; ``tolerance``: of the error the
     model still promises to remove when it stops; ``starts``: how many are followed to the end; bounds of the log
     eigenvalues and of the shape; ``same_model``: base and pyramid share a lobe model; ``trusted``: largest
-    disagreement of two half rules, as a share of the residual, that is not refined.
+    disagreement of two half rules, as a share of the residual, that is not refined; ``coarse``: largest share of the
+    energy in samples further than a lobe's width from the next.
     """
 
     free: int
@@ -71,6 +79,7 @@ class Search(NamedTuple):
     shape_high: float
     same_model: bool
     trusted: float
+    coarse: float
 
 
 class Scratch(NamedTuple):
@@ -78,7 +87,6 @@ class Scratch(NamedTuple):
 
     lobes: np.ndarray
     nodes: np.ndarray
-    log_k: np.ndarray
     values: np.ndarray
     work: np.ndarray
     setting: np.ndarray
@@ -89,60 +97,41 @@ class Scratch(NamedTuple):
     colour: np.ndarray
 
 
-@kernel
-def normalise_mixture(lobes, count):
-    """MIXTURE <- share of each lobe in the reflected energy; returns (mean colour r, g, b, whether any specular).
-
-    Where nothing is reflected the lobes are taken as white, so that normal and roughness still mean something.
-    """
-    red, green, blue, total = 0.0, 0.0, 0.0, 0.0
-    for i in range(count):
-        red += lobes[i, SPECULAR]
-        green += lobes[i, SPECULAR + 1]
-        blue += lobes[i, SPECULAR + 2]
-        total += abs(lobes[i, SPECULAR]) + abs(lobes[i, SPECULAR + 1]) + abs(lobes[i, SPECULAR + 2])
-    some = total > 1e-12
-    if not some:
-        total = 0.0
-        for i in range(count):
-            for k in range(3):
-                lobes[i, SPECULAR + k] = lobes[i, MIXTURE]
-            total += 3.0 * abs(lobes[i, MIXTURE])
-    for i in range(count):
-        lobes[i, MIXTURE] = (
-            abs(lobes[i, SPECULAR]) + abs(lobes[i, SPECULAR + 1]) + abs(lobes[i, SPECULAR + 2])
-        ) / total
-    return red, green, blue, some
+@inline
+def tensor_of(lobes, i, isotropic):
+    """Sigma of a base lobe as (xx, yy, xy, smallest eigenvalue)."""
+    if isotropic:
+        alpha_squared = lobes[i, ALPHA_SQUARED]
+        return alpha_squared, alpha_squared, 0.0, alpha_squared
+    l1, l2, cos, sin = eigen_log(lobes[i, LOG_TENSOR], lobes[i, LOG_TENSOR + 1], lobes[i, LOG_TENSOR + 2])
+    e1, e2 = math.exp(l1), math.exp(l2)
+    return e1 * cos * cos + e2 * sin * sin, e1 * sin * sin + e2 * cos * cos, (e1 - e2) * cos * sin, e2
 
 
 @kernel
-def closed_forms(lobes, count, starts, isotropic):
+def closed_forms(lobes, count, isotropic_base, starts, isotropic):
     """Closed-form starts, weighted by reflected energy; returns whether the footprint is flat.
 
-    Row 0 of ``starts`` (n, 6) is LEAN's moments taken in the frame of the mean normal (where slopes do not explode
+    Row 0 of ``starts`` (n, 7) is LEAN's moments taken in the frame of the mean normal (where slopes do not explode
     even if the mean is steep), row 1 vMF (isotropic, from the length of the mean), further rows narrower ones.
     """
     x, y, z = 0.0, 0.0, 0.0
     xx, yy, xy = 0.0, 0.0, 0.0
-    ga, gb, gc, gs = 0.0, 0.0, 0.0, 0.0
-    low, high = 1e30, -1e30
+    sharp, shape = 0.0, 0.0
+    narrowest, widest = 1e30, 0.0
     for i in range(count):
         w = lobes[i, MIXTURE]
         x += w * lobes[i, 0]
         y += w * lobes[i, 1]
         z += w * lobes[i, 2]
-        a, b, c = lobes[i, LOG_TENSOR], lobes[i, LOG_TENSOR + 1], lobes[i, LOG_TENSOR + 2]
-        l1, l2, cos, sin = eigen_log(a, b, c)
-        e1, e2 = math.exp(l1), math.exp(l2)
-        xx += w * (e1 * cos * cos + e2 * sin * sin)
-        yy += w * (e1 * sin * sin + e2 * cos * cos)
-        xy += w * (e1 - e2) * cos * sin
-        ga += w * a
-        gb += w * b
-        gc += w * c
-        gs += w * lobes[i, SHAPE]
-        low = min(low, min(a, b) - abs(c))
-        high = max(high, max(a, b) + abs(c))
+        t_xx, t_yy, t_xy, least = tensor_of(lobes, i, isotropic_base)
+        xx += w * t_xx
+        yy += w * t_yy
+        xy += w * t_xy
+        sharp += w / least
+        shape += w * lobes[i, SHAPE]
+        narrowest = min(narrowest, least)
+        widest = max(widest, t_xx + t_yy)
     length = math.sqrt(x * x + y * y + z * z)
     if length < 1e-6:
         n_x, n_y, n_z = 0.0, 0.0, 1.0
@@ -169,32 +158,20 @@ def closed_forms(lobes, count, starts, isotropic):
         farthest = max(farthest, u * u + v * v)
     uu, vv, uv = max(uu - mu * mu, 0.0), max(vv - mv * mv, 0.0), uv - mu * mv
     m_x, m_y = -n_x / n_z, -n_y / n_z
-    narrowest = math.exp(low)
+    # L2 follows the sharp lobes: narrower starts shrink the mean tensor to the harmonic mean of the smallest axes.
+    shrink = min(1.0, 2.0 / (sharp * (xx + yy)))
     for k in range(len(_START_SHARES)):
         share = 2.0 * _START_SHARES[k]
-        # Wide lobes hardly matter to L2: narrower starts take the geometric mean of the base tensors.
-        if k == 0:
-            s_xx, s_yy, s_xy = xx + share * uu, yy + share * vv, xy + share * uv
-        else:
-            l1, l2, cos, sin = eigen_log(ga, gb, gc)
-            e1, e2 = math.exp(l1), math.exp(l2)
-            s_xx = e1 * cos * cos + e2 * sin * sin + share * uu
-            s_yy = e1 * sin * sin + e2 * cos * cos + share * vv
-            s_xy = (e1 - e2) * cos * sin + share * uv
+        keep = 1.0 if k == 0 else shrink
         row = k if k == 0 else k + 1
-        starts[row, 0], starts[row, 1], starts[row, 5] = m_x, m_y, gs
-        set_log_tensor(starts, row, s_xx, s_yy, s_xy, isotropic)
+        starts[row, 0], starts[row, 1], starts[row, 5] = m_x, m_y, shape
+        set_log_tensor(starts, row, keep * xx + share * uu, keep * yy + share * vv, keep * xy + share * uv, isotropic)
     kappa = length * (3.0 - length * length) / max(1.0 - length * length, 1e-9)
-    starts[1, 0], starts[1, 1], starts[1, 5] = m_x, m_y, gs
+    starts[1, 0], starts[1, 1], starts[1, 5] = m_x, m_y, shape
     spread = 2.0 / max(kappa, 1e-3)
     set_log_tensor(starts, 1, xx + spread, yy + spread, xy, isotropic)
-    if isotropic:
-        ga = gb = 0.5 * (ga + gb)
-        gc = 0.0
-    is_flat = farthest < _FLAT_SHARE * _FLAT_SHARE * narrowest and high - low < _FLAT_SHARE
-    if is_flat:
-        starts[0, 2], starts[0, 3], starts[0, 4] = ga, gb, gc
-    return is_flat
+    even = widest < (1.0 + _FLAT_SHARE) * 2.0 * narrowest if isotropic_base else False
+    return even and farthest < _FLAT_SHARE * _FLAT_SHARE * narrowest
 
 
 @inline
@@ -223,6 +200,16 @@ def clamp_to_domain(theta, search):
 
 
 @kernel
+def target_norm(nodes):
+    """<T,T> over all channels."""
+    red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
+    norm = real(0.0)
+    for j in range(nodes.shape[1]):
+        norm += weight[j] * (red[j] * red[j] + green[j] * green[j] + blue[j] * blue[j])
+    return float(norm)
+
+
+@kernel
 def aim(nodes, colour, target_norm, setting):
     """Set the scalar target for this colour: filtered colour if the scale is held, colour direction if it is free."""
     squared = colour[0] * colour[0] + colour[1] * colour[1] + colour[2] * colour[2]
@@ -245,40 +232,56 @@ def settle_scale(theta, nodes, setting, values_kernel, log_normalisation, values
     The residual is summed as it stands, (T - rho D)^2, so that nothing cancels.
     """
     values_kernel(theta, nodes, log_normalisation, values, work)
-    dd, r, g, b = 0.0, 0.0, 0.0, 0.0
+    red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
+    dd, r, g, b = real(0.0), real(0.0), real(0.0), real(0.0)
     for j in range(nodes.shape[1]):
-        wd = nodes[WEIGHT, j] * values[j]
+        wd = weight[j] * values[j]
         dd += wd * values[j]
-        r += wd * nodes[RED, j]
-        g += wd * nodes[GREEN, j]
-        b += wd * nodes[BLUE, j]
+        r += wd * red[j]
+        g += wd * green[j]
+        b += wd * blue[j]
     if not setting[HELD] > 0.0:
         ok = dd > 0.0
         report[RED_SCALE] = max(r / dd, 0.0) if ok else 0.0
         report[GREEN_SCALE] = max(g / dd, 0.0) if ok else 0.0
         report[BLUE_SCALE] = max(b / dd, 0.0) if ok else 0.0
-    even, odd = 0.0, 0.0
+    rho_r, rho_g, rho_b = real(report[RED_SCALE]), real(report[GREEN_SCALE]), real(report[BLUE_SCALE])
+    total, alternating = real(0.0), real(0.0)
     for j in range(nodes.shape[1]):
-        d_r = nodes[RED, j] - report[RED_SCALE] * values[j]
-        d_g = nodes[GREEN, j] - report[GREEN_SCALE] * values[j]
-        d_b = nodes[BLUE, j] - report[BLUE_SCALE] * values[j]
-        term = nodes[WEIGHT, j] * (d_r * d_r + d_g * d_g + d_b * d_b)
-        if j & 1:
-            odd += term
-        else:
-            even += term
-    norm = report[TARGET_NORM]
-    report[RESIDUAL] = (even + odd) / norm
-    report[DISAGREEMENT] = abs(even - odd) / norm
+        d_r, d_g, d_b = red[j] - rho_r * values[j], green[j] - rho_g * values[j], blue[j] - rho_b * values[j]
+        term = weight[j] * (d_r * d_r + d_g * d_g + d_b * d_b)
+        total += term
+        alternating += term * real(1 - 2 * (j & 1))
+    report[RESIDUAL] = total / report[TARGET_NORM]
+    report[DISAGREEMENT] = abs(alternating) / report[TARGET_NORM]
+
+
+@kernel
+def coarse_share(lobes, count, isotropic, row_length):
+    """Share of the reflected energy in samples from which the next sample of the row or column is a lobe's width away.
+
+    Those are places where point samples of a smooth streak of normals would turn it into separate needles.
+    """
+    share = 0.0
+    for i in range(count):
+        _, _, _, width = tensor_of(lobes, i, isotropic)
+        for k in (i + 1, i + row_length):
+            if k < count and (k != i + 1 or k % row_length != 0):
+                d_x, d_y, d_z = lobes[k, 0] - lobes[i, 0], lobes[k, 1] - lobes[i, 1], lobes[k, 2] - lobes[i, 2]
+                if d_x * d_x + d_y * d_y + d_z * d_z > width:
+                    share += lobes[i, MIXTURE]
+                    break
+    return share
 
 
 @kernel
 def fit_texel(
-    base, strata, points, column, row, search, scratch, diffuse_moment, report,
+    base, strata, points, column, row, search, scratch, diffuse_moment, report, last_rule,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
 ):  # fmt: skip
     """Fit one texel with one rule. The answer is left in ``scratch.theta``, the rest in ``report``; returns a status.
 
+    Returns TOO_COARSE at once where the strata are too wide for the lobes, unless this is the ``last_rule``.
     ``scratch.best`` (6,) receives the closed-form start, to fall back on.
     """
     lobes, theta, work, setting = scratch.lobes, scratch.theta, scratch.work, scratch.setting
@@ -286,7 +289,7 @@ def fit_texel(
     count = gather_lobes(base, strata, column, row, lobes, diffuse_moment)
     red, green, blue, some = normalise_mixture(lobes, count)
     isotropic = search.free & 2 == 0
-    flat = closed_forms(lobes, count, scratch.starts, isotropic)
+    flat = closed_forms(lobes, count, base.isotropic, scratch.starts, isotropic)
     report[EVALUATIONS] = 0.0
     report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
     report[RESIDUAL], report[DISAGREEMENT] = 0.0, 0.0
@@ -296,15 +299,13 @@ def fit_texel(
             scratch.best[p] = theta[p]
         clamp_to_domain(theta, search)
         return FLAT if some else NO_SPECULAR
-    place_nodes(lobes, count, points, search.exponent, nodes)
-    for i in range(count):
-        scratch.log_k[i] = source_log_normalisation(lobes[i, SHAPE])[0]
-    tabulate_kernel(lobes, count, scratch.log_k, base.isotropic, nodes, work)
+    if not last_rule and coarse_share(lobes, count, base.isotropic, strata.x.size) > search.coarse:
+        return TOO_COARSE
+    place_nodes(lobes, count, base.isotropic, points, search.exponent, nodes, work)
+    normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
+    tabulate_kernel(lobes, count, base.isotropic, base.grey, nodes, work)
     weigh_nodes(nodes)
-    norm = 0.0
-    for j in range(nodes.shape[1]):
-        r, g, b = nodes[RED, j], nodes[GREEN, j], nodes[BLUE, j]
-        norm += nodes[WEIGHT, j] * (r * r + g * g + b * b)
+    norm = target_norm(nodes)
     report[TARGET_NORM] = norm
     colour = scratch.colour
     colour[0], colour[1], colour[2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
@@ -320,7 +321,9 @@ def fit_texel(
         clamp_to_domain(theta, search)
         return FALLBACK if some else NO_SPECULAR
     aim(nodes, colour, norm, setting)
-    status, value = search_from_starts(scratch, search, len(_START_SHARES) + 1, moments_kernel, log_normalisation, report)
+    status, value = search_from_starts(
+        scratch, search, len(_START_SHARES) + 1, moments_kernel, values_kernel, log_normalisation, report
+    )
     report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = colour[0], colour[1], colour[2]
     clamp_to_domain(theta, search)
     settle_scale(theta, nodes, setting, values_kernel, log_normalisation, scratch.values, work, report)
@@ -346,16 +349,18 @@ def fit_texel(
 
 
 @kernel
-def search_from_starts(scratch, search, available, moments_kernel, log_normalisation, report):
+def search_from_starts(scratch, search, available, moments_kernel, values_kernel, log_normalisation, report):
     """BFGS from the best of the closed-form starts (``search.starts`` of them at most); best end in scratch.theta."""
     starts, theta, work, setting, nodes = scratch.starts, scratch.theta, scratch.work, scratch.setting, scratch.nodes
     rows = available
     if search.free & FREE_NORMAL:
         # One more start: the narrowest tensor where the target is highest (separated peaks).
-        top, highest = 0, -1e30
+        red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
+        top, highest = 0, real(0.0)
         for j in range(nodes.shape[1]):
-            if nodes[WEIGHT, j] > 0.0 and nodes[TARGET, j] / nodes[WEIGHT, j] > highest and nodes[2, j] > 0.1:
-                highest = nodes[TARGET, j] / nodes[WEIGHT, j]
+            height = red[j] + green[j] + blue[j]
+            if height > highest and weight[j] > real(0.0):
+                highest = height
                 top = j
         if nodes[2, top] > 0.1:
             starts[rows, 0] = -nodes[0, top] / nodes[2, top]
@@ -366,7 +371,7 @@ def search_from_starts(scratch, search, available, moments_kernel, log_normalisa
     for i in range(rows):
         starts[i, 5] = min(max(starts[i, 5], search.shape_low), search.shape_high)
         clamp_to_domain(starts[i], search)
-        value = evaluate(starts[i], nodes, setting, moments_kernel, log_normalisation, work[0:6], work[120:168])
+        value = evaluate_value(starts[i], nodes, setting, values_kernel, log_normalisation, scratch.values, work)
         starts[i, 6] = value if math.isfinite(value) else 1e30
     report[EVALUATIONS] += rows
     best_value, best_status = 1e30, FALLBACK

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from brdffit._jit import inline, kernel
 from brdffit.footprint import PixelFilter
-from brdffit.halfangle.quadrature import LOG_TENSOR, MIXTURE, SHAPE, SPECULAR
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOG_TENSOR, MIXTURE, NORMALISATION, SHAPE, SPECULAR
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 
@@ -32,6 +32,7 @@ class Base(NamedTuple):
     shape: NDArray
     default_shape: float
     isotropic: bool
+    grey: bool
     has_diffuse: bool
     has_shape: bool
     tile: bool
@@ -63,24 +64,31 @@ class Strata(NamedTuple):
 
 def base_of(svbrdf: Svbrdf, default_shape: float = 0.0) -> Base:
     """Pack an Svbrdf for the kernels (no array is copied unless its type differs)."""
-    log_roughness = np.ascontiguousarray(svbrdf.log_roughness, dtype=np.float32)
+    log_roughness = _plain(svbrdf.log_roughness)
     isotropic = bool(
         np.array_equal(log_roughness[..., 0], log_roughness[..., 1]) and not np.any(log_roughness[..., 2])
     )
+    specular = _plain(svbrdf.specular)
     none = np.zeros((1, 1), np.float32)
     return Base(
-        normal=np.ascontiguousarray(svbrdf.normal, dtype=np.float32),
+        normal=_plain(svbrdf.normal),
         perceptual=perceptual_from_log_tensor(log_roughness) if isotropic else none,
         log_roughness=log_roughness,
-        specular=np.ascontiguousarray(svbrdf.specular, dtype=np.float32),
-        diffuse=np.ascontiguousarray(svbrdf.diffuse, dtype=np.float32),
-        shape=none if svbrdf.shape is None else np.ascontiguousarray(svbrdf.shape, dtype=np.float32),
+        specular=specular,
+        diffuse=_plain(svbrdf.diffuse),
+        shape=none if svbrdf.shape is None else _plain(svbrdf.shape),
         default_shape=default_shape,
         isotropic=isotropic,
+        grey=bool(np.array_equal(specular[..., 0], specular[..., 1]) and np.array_equal(specular[..., 1], specular[..., 2])),
         has_diffuse=bool(np.any(svbrdf.diffuse)),
         has_shape=svbrdf.shape is not None,
         tile=svbrdf.wrap == "tile",
     )
+
+
+def _plain(array: NDArray) -> NDArray:
+    """float32, contiguous and writable: the one array type that kernels are compiled for (copied only if it is not)."""
+    return np.require(array, np.float32, ["C", "W"])
 
 
 def strata(
@@ -118,6 +126,8 @@ def _hash(a, b, c, d):
 @inline
 def _index(i, size, tile):
     """Texel index beyond the border: wrapped or clamped."""
+    if 0 <= i < size:
+        return i
     if tile:
         return i % size
     return min(max(i, 0), size - 1)
@@ -161,9 +171,7 @@ def gather_lobes(base, strata, column, row, lobes, diffuse_moment):
             if base.isotropic:
                 r = w00 * base.perceptual[j0, i0] + w10 * base.perceptual[j0, i1]
                 r += w01 * base.perceptual[j1, i0] + w11 * base.perceptual[j1, i1]
-                lobes[count, LOG_TENSOR] = 4.0 * math.log(r)
-                lobes[count, LOG_TENSOR + 1] = lobes[count, LOG_TENSOR]
-                lobes[count, LOG_TENSOR + 2] = 0.0
+                lobes[count, ALPHA_SQUARED] = (r * r) * (r * r)
             else:
                 for k in range(3):
                     lobes[count, LOG_TENSOR + k] = _bilinear(
@@ -191,3 +199,39 @@ def gather_lobes(base, strata, column, row, lobes, diffuse_moment):
 def _bilinear(image, i0, i1, j0, j1, k, w00, w10, w01, w11):
     """One channel between four texels, in double precision."""
     return w00 * image[j0, i0, k] + w10 * image[j0, i1, k] + w01 * image[j1, i0, k] + w11 * image[j1, i1, k]
+
+
+@kernel
+def normalise_mixture(lobes, count):
+    """MIXTURE <- share of each lobe in the reflected energy; returns (mean colour r, g, b, whether any specular).
+
+    Where nothing is reflected the lobes are taken as white, so that normal and roughness still mean something.
+    """
+    red, green, blue, total = 0.0, 0.0, 0.0, 0.0
+    for i in range(count):
+        red += lobes[i, SPECULAR]
+        green += lobes[i, SPECULAR + 1]
+        blue += lobes[i, SPECULAR + 2]
+        total += abs(lobes[i, SPECULAR]) + abs(lobes[i, SPECULAR + 1]) + abs(lobes[i, SPECULAR + 2])
+    some = total > 1e-12
+    if not some:
+        total = 1e-30
+        for i in range(count):
+            for k in range(3):
+                lobes[i, SPECULAR + k] = lobes[i, MIXTURE]
+            total += 3.0 * abs(lobes[i, MIXTURE])
+    for i in range(count):
+        lobes[i, MIXTURE] = (
+            abs(lobes[i, SPECULAR]) + abs(lobes[i, SPECULAR + 1]) + abs(lobes[i, SPECULAR + 2])
+        ) / total
+    return red, green, blue, some
+
+
+@kernel
+def normalise_shapes(lobes, count, has_shape, log_normalisation):
+    """NORMALISATION <- K(shape) of every lobe; one value serves all where the base has no shape of its own."""
+    k = math.exp(log_normalisation(lobes[0, SHAPE])[0])
+    for i in range(count):
+        if has_shape:
+            k = math.exp(log_normalisation(lobes[i, SHAPE])[0])
+        lobes[i, NORMALISATION] = k

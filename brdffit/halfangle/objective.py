@@ -121,13 +121,8 @@ def lobe_values_type(floats):  # type: ignore[no-untyped-def]
 
 
 @inline
-def _chain(m, p, amplitude, log_k_slope, rotation, eigen, gradient):
-    """Gradient of amplitude * sum(...) by theta from the nine moments m[p:p+9]; ``value_factor`` rides in m[p]."""
-    l1, l2, cos, sin = eigen
-    delta = 0.5 * (l1 - l2)
-    sinh = math.sinh(delta)
-    kappa = sinh / delta if delta > 1e-6 else 1.0
-    e1, e2 = math.exp(0.5 * l1), math.exp(0.5 * l2)
+def _chain(m, p, amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient):
+    """Gradient of amplitude * sum(...) by theta, amplitude held, from the nine moments m[p:p+9]."""
     twist = -4.0 * sinh * m[p + 2]
     along1 = 2.0 * (m[p + 4] / e1 - m[p + 6] * e1)
     along2 = 2.0 * (m[p + 5] / e2 - m[p + 7] * e2)
@@ -182,16 +177,20 @@ def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient,
     """
     rotation, frame, sums, other = work[2:8], work[8:17], work[17:35], work[35:41]
     n_x, n_y, n_z = frame_rotation(theta[0], theta[1], rotation)
-    eigen = lobe_frame(n_x, n_y, n_z, theta[2], theta[3], theta[4], frame)
-    l1, l2, cos, sin = eigen
+    l1, l2, cos, sin = lobe_frame(n_x, n_y, n_z, theta[2], theta[3], theta[4], frame)
     log_k, log_k_slope = log_normalisation(theta[5])
-    amplitude = math.exp(log_k - 0.5 * (l1 + l2)) / math.pi
+    e1 = 1.0 / math.sqrt(frame[0] * frame[0] + frame[1] * frame[1] + frame[2] * frame[2])
+    e2 = 1.0 / math.sqrt(frame[3] * frame[3] + frame[4] * frame[4] + frame[5] * frame[5])
+    amplitude = (math.exp(log_k) if log_k != 0.0 else 1.0) / (math.pi * e1 * e2)
+    sinh = 0.5 * (e1 / e2 - e2 / e1)
+    delta = 0.5 * (l1 - l2)
+    kappa = sinh / delta if delta > 1e-4 else 1.0
     moments_kernel(nodes, frame, real(theta[5]), sums)
     td = amplitude * sums[0]
     dd = amplitude * amplitude * sums[9]
     work[0], work[1] = td, dd
-    _chain(sums, 0, amplitude, log_k_slope, rotation, eigen, gradient)
-    _chain(sums, 9, amplitude * amplitude, log_k_slope, rotation, eigen, other)
+    _chain(sums, 0, amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient)
+    _chain(sums, 9, amplitude * amplitude, rotation, e1, e2, cos, sin, kappa, sinh, other)
     # The amplitude's own derivative: d log A = -(da + db)/2 + d log K.
     for k in range(2, 4):
         gradient[k] -= 0.5 * td
@@ -220,3 +219,19 @@ def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient,
     value += WALL * outside * outside
     gradient[5] += 2.0 * WALL * outside
     return value
+
+
+@kernel
+def evaluate_value(theta, nodes, setting, values_kernel, log_normalisation, values, work):
+    """The objective of ``evaluate`` without walls or gradient; ``values`` (N,) and ``work`` (16,) are scratch."""
+    values_kernel(theta, nodes, log_normalisation, values, work)
+    weight, target = nodes[WEIGHT], nodes[TARGET]
+    td, dd = real(0.0), real(0.0)
+    for j in range(nodes.shape[1]):
+        td += target[j] * values[j]
+        dd += weight[j] * values[j] * values[j]
+    if not dd > 0.0:
+        return 0.0
+    if setting[HELD] > 0.0:
+        return setting[SCALE] * (dd - 2.0 * td)
+    return -setting[SCALE] * td * (td / dd)

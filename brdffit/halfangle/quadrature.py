@@ -28,16 +28,16 @@ from numpy.typing import NDArray
 
 from brdffit._jit import inline, kernel, types
 from brdffit.halfangle.density import half_angle_density
-from brdffit.halfangle.frame import eigen_log, lobe_frame, tangent_frame
+from brdffit.halfangle.frame import lobe_frame, tangent_frame
 from brdffit.models.ggx import profile as ggx_profile
 from brdffit.models.ggx import profile  # bound anew for other source models
 
 real = np.float32
 
-# Columns of a lobe: normal, log tensor, shape, specular RGB, mixture weight, footprint weight times colour is formed
-# in the table.
-NORMAL, LOG_TENSOR, SHAPE, SPECULAR, MIXTURE = 0, 3, 6, 7, 10
-LOBE_COLUMNS = 11
+# Columns of a lobe: normal; log tensor (a, b, c), or alpha^2 alone where the base is isotropic; shape; footprint weight
+# times specular RGB; mixture weight; K(shape) of the model's normalisation.
+NORMAL, LOG_TENSOR, ALPHA_SQUARED, SHAPE, SPECULAR, MIXTURE, NORMALISATION = 0, 3, 3, 6, 7, 10, 11
+LOBE_COLUMNS = 12
 
 # Rows of a node array.
 H_X, H_Y, H_Z, RED, GREEN, BLUE, DENSITY, WEIGHT = range(8)
@@ -48,7 +48,7 @@ _R2 = (0.7548776662466927, 0.5698402909980532)
 
 
 def lattice(nodes: int, shift: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> NDArray:
-    """(nodes, 4) float64: lobe coordinate in [0, 1), radius r, cos f, sin f of each node in a lobe's frame.
+    """(3, nodes) float32: lobe coordinate in [0, 1), ascending; then r cos f and r sin f in a lobe's frame.
 
     ``shift`` moves the point set (each entry in [0, 1)): an independent rule of the same size.
     """
@@ -58,44 +58,52 @@ def lattice(nodes: int, shift: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> 
     angle = 2.0 * np.pi * ((shift[2] + _R2[1] * j) % 1.0)
     # The lobe's far tail (r > 100) is cut: no node there carries weight.
     radius = np.sqrt(u / np.maximum(1.0 - u, 1e-4))
-    return np.stack([choice, radius, np.cos(angle), np.sin(angle)], axis=1)
+    return np.stack([choice, radius * np.cos(angle), radius * np.sin(angle)]).astype(np.float32)
 
 
 @kernel
-def place_nodes(lobes, count, points, exponent, nodes):
+def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
     """Draw the nodes from the mixture of ``lobes[:count]``; their mixture weights must sum to 1.
 
     Writes rows H_X, H_Y, H_Z of ``nodes`` (NODE_ROWS, N) and w(h) / N into WEIGHT (0 below the horizon); clears the
-    table rows.
+    table rows. ``frame`` (9,) is scratch.
     """
-    size = points.shape[0]
-    i = 0
-    reached = lobes[0, MIXTURE]
-    prepared = -1
+    size = points.shape[1]
+    choice, along, across = points[0], points[1], points[2]
+    h_x, h_y, h_z, weight = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT]
+    reached = 0.0
+    first = 0
+    for i in range(count):
+        reached += lobes[i, MIXTURE]
+        if first == size or (choice[first] >= reached and i < count - 1):
+            continue
+        n_x, n_y, n_z = lobes[i, 0], lobes[i, 1], lobes[i, 2]
+        if isotropic:
+            e1 = e2 = math.sqrt(lobes[i, ALPHA_SQUARED])
+            frame[0], frame[1], frame[2], frame[3], frame[4], frame[5] = tangent_frame(n_x, n_y, n_z)
+        else:
+            l1, l2, _, _ = lobe_frame(n_x, n_y, n_z, lobes[i, 3], lobes[i, 4], lobes[i, 5], frame)
+            # Rows of the frame are scaled by exp(-l/2); the slopes' axes want exp(+l/2).
+            e1, e2 = math.exp(l1), math.exp(l2)
+        u_x, u_y, u_z = e1 * frame[0], e1 * frame[1], e1 * frame[2]
+        v_x, v_y, v_z = e2 * frame[3], e2 * frame[4], e2 * frame[5]
+        while first < size and (choice[first] < reached or i == count - 1):
+            h_x[first] = along[first] * u_x + across[first] * v_x + n_x
+            h_y[first] = along[first] * u_y + across[first] * v_y + n_y
+            h_z[first] = along[first] * u_z + across[first] * v_z + n_z
+            first += 1
+    share = real(half_angle_density(1.0, exponent) / size)
+    cubic = exponent == 3
     for j in range(size):
-        while reached <= points[j, 0] and i < count - 1:
-            i += 1
-            reached += lobes[i, MIXTURE]
-        if i != prepared:
-            n_x, n_y, n_z = lobes[i, 0], lobes[i, 1], lobes[i, 2]
-            t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(n_x, n_y, n_z)
-            l1, l2, cos, sin = eigen_log(lobes[i, 3], lobes[i, 4], lobes[i, 5])
-            e1 = math.exp(0.5 * l1)
-            e2 = math.exp(0.5 * l2)
-            prepared = i
-        s1 = e1 * points[j, 1] * points[j, 2]
-        s2 = e2 * points[j, 1] * points[j, 3]
-        x = cos * s1 - sin * s2
-        y = sin * s1 + cos * s2
-        scale = 1.0 / math.sqrt(1.0 + x * x + y * y)
-        h_z = scale * (x * t_z + y * b_z + n_z)
-        nodes[H_X, j] = scale * (x * t_x + y * b_x + n_x)
-        nodes[H_Y, j] = scale * (x * t_y + y * b_y + n_y)
-        nodes[H_Z, j] = h_z
-        nodes[WEIGHT, j] = half_angle_density(h_z, exponent) / size
+        scale = real(1.0) / np.sqrt(h_x[j] * h_x[j] + h_y[j] * h_y[j] + h_z[j] * h_z[j])
+        z = h_z[j] * scale
+        h_x[j] *= scale
+        h_y[j] *= scale
+        h_z[j] = z
+        up = max(z, real(0.0))
+        weight[j] = share * (up * up * up if cubic else up)
     for row in range(RED, DENSITY + 1):
-        for j in range(size):
-            nodes[row, j] = 0.0
+        nodes[row, :] = real(0.0)
 
 
 @inline
@@ -105,33 +113,45 @@ def amplitude(l1, l2):
 
 
 @kernel
-def tabulate(lobes, count, log_k, isotropic, nodes, frame):
+def tabulate(lobes, count, isotropic, grey, nodes, frame):
     """Add every base lobe to the table: T_c(h_j) and p(h_j).
 
-    ``lobes[:, SPECULAR:SPECULAR+3]`` must hold footprint weight times colour, ``log_k`` (count,) the log normalisation
-    of each shape. ``frame`` (9,) is scratch. Base lobes stop at their own horizon (n.h > 0).
+    ``grey`` says that every lobe has equal channels: one is summed and copied. ``frame`` (9,) is scratch. Base lobes
+    stop at their own horizon (n.h > 0).
     """
     size = nodes.shape[1]
     h_x, h_y, h_z = nodes[H_X], nodes[H_Y], nodes[H_Z]
     red, green, blue, density = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[DENSITY]
     for i in range(count):
         if isotropic:
-            scale = math.exp(-lobes[i, LOG_TENSOR]) / math.pi
-            inverse = real(math.exp(-lobes[i, LOG_TENSOR]))
+            wide = 1.0 / lobes[i, ALPHA_SQUARED]
+            scale = wide / math.pi
+            inverse = real(wide)
         else:
             l1, l2, _, _ = lobe_frame(
                 lobes[i, 0], lobes[i, 1], lobes[i, 2], lobes[i, 3], lobes[i, 4], lobes[i, 5], frame
             )
             scale = amplitude(l1, l2)
             inverse = real(0.0)
-        shape = lobes[i, SHAPE]
-        k = scale * math.exp(log_k[i])
+        shape = real(lobes[i, SHAPE])
+        k = scale * lobes[i, NORMALISATION]
         a_red = real(k * lobes[i, SPECULAR])
         a_green = real(k * lobes[i, SPECULAR + 1])
         a_blue = real(k * lobes[i, SPECULAR + 2])
         a_density = real(scale * lobes[i, MIXTURE])
         n_x, n_y, n_z = real(lobes[i, 0]), real(lobes[i, 1]), real(lobes[i, 2])
-        if isotropic:
+        if isotropic and grey:
+            for j in range(size):
+                d_x, d_y, d_z = h_x[j] - n_x, h_y[j] - n_y, h_z[j] - n_z
+                chord = d_x * d_x + d_y * d_y + d_z * d_z
+                sin2 = chord * (real(1.0) - real(0.25) * chord)
+                cos = max(real(1.0) - real(0.5) * chord, real(0.0))
+                q = sin2 * inverse
+                C = real(1.0) - sin2
+                g = profile(q, C, shape)
+                red[j] += a_red * g if cos > real(0.0) else real(0.0)
+                density[j] += a_density * ggx_profile(q, C, shape) * cos
+        elif isotropic:
             for j in range(size):
                 # sin^2 from the chord |h - n|: 1 - (n.h)^2 would cancel for sharp lobes.
                 d_x, d_y, d_z = h_x[j] - n_x, h_y[j] - n_y, h_z[j] - n_z
@@ -159,13 +179,16 @@ def tabulate(lobes, count, log_k, isotropic, nodes, frame):
                 green[j] += a_green * g
                 blue[j] += a_blue * g
                 density[j] += a_density * ggx_profile(q, C, shape) * max(cos, real(0.0))
+    if isotropic and grey:
+        green[:] = red
+        blue[:] = red
 
 
 def tabulate_type(floats):  # type: ignore[no-untyped-def]
     """Numba function type of ``tabulate`` on node arrays of this float type."""
     f64 = types.float64
     return types.FunctionType(
-        types.void(f64[:, ::1], types.int64, f64[::1], types.boolean, floats[:, ::1], f64[::1])
+        types.void(f64[:, ::1], types.int64, types.boolean, types.boolean, floats[:, ::1], f64[::1])
     )
 
 

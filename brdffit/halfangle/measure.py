@@ -1,0 +1,155 @@
+"""How far a lobe is from the truth: the relative squared error of any pyramid's texels, by a dense rule of its own.
+
+The figure of merit of a level is SNR = -10 log10 of the mean over texels of
+
+    e = sum_c <(T_c - rho_c D)^2> / sum_c <T_c^2>,     < . > the integral over h with the half-angle density.
+
+The rule has many more nodes and strata than any fit uses, another shift of the point set, and the lobe's own horizon.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit._jit import kernel
+from brdffit.footprint import get_pixel_filter
+from brdffit.halfangle.apparent_lobe import Base, Strata, gather_lobes, normalise_mixture, normalise_shapes, strata
+from brdffit.halfangle.quadrature import (
+    BLUE,
+    GREEN,
+    LOBE_COLUMNS,
+    NODE_ROWS,
+    RED,
+    WEIGHT,
+    lattice,
+    place_nodes,
+    weigh_nodes,
+)
+from brdffit.methods import Level
+from brdffit.svbrdf import Svbrdf
+
+#: Nodes of the dense rule and samples of a footprint along one axis, at least and at most.
+DENSE_NODES = 4096
+DENSE_SAMPLES = (32, 128)
+
+_SHIFT = (0.25, 0.137, 0.719)
+
+
+class Measured(NamedTuple):
+    """Relative squared error and energy kept (rho over the filtered colour, mean of channels) of each texel."""
+
+    error: NDArray
+    energy: NDArray
+
+
+def snr(error: NDArray) -> float:
+    """-10 log10 of the mean relative squared error, in dB; infinite where there is no error."""
+    mean = float(np.mean(error)) if np.size(error) else 0.0
+    return math.inf if mean <= 0.0 else -10.0 * math.log10(mean)
+
+
+def dense_strata(
+    base_size: tuple[int, int], level_size: tuple[int, int], pixel_filter: str, samples: tuple[int, int] = DENSE_SAMPLES
+) -> Strata:
+    """Strata of the dense rule: four samples a texel and axis, at least and at most ``samples`` an axis."""
+    chosen = get_pixel_filter(pixel_filter)
+    width = 2.0 * chosen.radius * max(base_size[0] / level_size[0], base_size[1] / level_size[1])
+    per_texel = max(4, math.ceil(samples[0] / width))
+    return strata(chosen, base_size, level_size, per_texel, samples[1], seed=20231)
+
+
+@kernel
+def target_table(base, strata, points, column, row, exponent, lobes, nodes, work, tabulate_kernel,
+                 source_log_normalisation):  # fmt: skip
+    """Nodes, table and weights of one footprint; returns (mean colour r, g, b, <T,T>)."""
+    moment = work[9:18]
+    count = gather_lobes(base, strata, column, row, lobes, moment)
+    red, green, blue, _ = normalise_mixture(lobes, count)
+    place_nodes(lobes, count, base.isotropic, points, exponent, nodes, work)
+    normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
+    tabulate_kernel(lobes, count, base.isotropic, base.grey, nodes, work)
+    weigh_nodes(nodes)
+    norm = 0.0
+    for j in range(nodes.shape[1]):
+        norm += nodes[WEIGHT, j] * (nodes[RED, j] ** 2 + nodes[GREEN, j] ** 2 + nodes[BLUE, j] ** 2)
+    return red, green, blue, norm
+
+
+@kernel
+def measure_rows(base, strata, points, columns, rows, exponent, theta, scale, error, energy,
+                 tabulate_kernel, values_kernel, log_normalisation, source_log_normalisation):  # fmt: skip
+    """Error and energy of lobes theta (M, n, 6), scale (M, n, 3) at n texels; into error and energy (M, n)."""
+    count = strata.x.size * strata.y.size
+    lobes = np.zeros((count, LOBE_COLUMNS))
+    nodes = np.zeros((NODE_ROWS, points.shape[1]), np.float32)
+    values = np.zeros(points.shape[1], np.float32)
+    work = np.zeros(32)
+    for i in range(columns.size):
+        red, green, blue, norm = target_table(
+            base, strata, points, columns[i], rows[i], exponent, lobes, nodes, work, tabulate_kernel,
+            source_log_normalisation,
+        )  # fmt: skip
+        for m in range(theta.shape[0]):
+            values_kernel(theta[m, i], nodes, log_normalisation, values, work)
+            t = theta[m, i]
+            inverse = 1.0 / math.sqrt(1.0 + t[0] * t[0] + t[1] * t[1])
+            n_x, n_y, n_z = -t[0] * inverse, -t[1] * inverse, inverse
+            total = 0.0
+            for j in range(nodes.shape[1]):
+                above = n_x * nodes[0, j] + n_y * nodes[1, j] + n_z * nodes[2, j] > 0.0
+                d = values[j] if above else 0.0
+                r = nodes[RED, j] - scale[m, i, 0] * d
+                g = nodes[GREEN, j] - scale[m, i, 1] * d
+                b = nodes[BLUE, j] - scale[m, i, 2] * d
+                total += nodes[WEIGHT, j] * (r * r + g * g + b * b)
+            error[m, i] = total / norm if norm > 0.0 else 0.0
+            mean = red + green + blue
+            energy[m, i] = (scale[m, i, 0] + scale[m, i, 1] + scale[m, i, 2]) / mean if mean > 0.0 else 1.0
+
+
+def lobe_parameters(svbrdf: Svbrdf, columns: NDArray, rows: NDArray, default_shape: float = 0.0) -> NDArray:
+    """theta (n, 6) float64 of texels: slopes of the normal, log roughness tensor, shape."""
+    normal = svbrdf.normal[rows, columns].astype(np.float64)
+    theta = np.zeros((len(rows), 6))
+    theta[:, 0:2] = -normal[:, 0:2] / np.maximum(normal[:, 2:3], 1e-3)
+    theta[:, 2:5] = svbrdf.log_roughness[rows, columns]
+    theta[:, 5] = default_shape if svbrdf.shape is None else svbrdf.shape[rows, columns]
+    return theta
+
+
+def random_texels(size: tuple[int, int], count: int, seed: int) -> tuple[NDArray, NDArray]:
+    """(columns, rows) of ``count`` random texels of a level, all of them where there are fewer; int64."""
+    height, width = size
+    if height * width <= count:
+        flat = np.arange(height * width)
+    else:
+        flat = np.random.default_rng(seed).choice(height * width, size=count, replace=False)
+    return (flat % width).astype(np.int64), (flat // width).astype(np.int64)
+
+
+def measure(base: Base, base_size: tuple[int, int], levels: list[Level] | list[Svbrdf], columns: NDArray, rows: NDArray,
+            *, pixel_filter: str, exponent: int, kernels, default_shape: float = 0.0, nodes: int = DENSE_NODES,
+            samples: tuple[int, int] = DENSE_SAMPLES) -> Measured:  # fmt: skip
+    """Measure M versions of one level (of one lobe model) at n texels against the truth; arrays (M, n)."""
+    versions = [level.svbrdf if isinstance(level, Level) else level for level in levels]
+    theta = np.stack([lobe_parameters(v, columns, rows, default_shape) for v in versions])
+    scale = np.stack([v.specular[rows, columns].astype(np.float64) for v in versions])
+    return measure_lobes(base, base_size, versions[0].size, theta, scale, columns, rows, pixel_filter=pixel_filter,
+                         exponent=exponent, kernels=kernels, nodes=nodes, samples=samples)  # fmt: skip
+
+
+def measure_lobes(base: Base, base_size: tuple[int, int], level_size: tuple[int, int], theta: NDArray, scale: NDArray,
+                  columns: NDArray, rows: NDArray, *, pixel_filter: str, exponent: int, kernels,
+                  nodes: int = DENSE_NODES, samples: tuple[int, int] = DENSE_SAMPLES) -> Measured:  # fmt: skip
+    """As ``measure``, of lobes given by theta (M, n, 6) and scale (M, n, 3)."""
+    error = np.zeros(theta.shape[:2])
+    energy = np.zeros(theta.shape[:2])
+    rule = dense_strata(base_size, level_size, pixel_filter, samples)
+    measure_rows(base, rule, lattice(nodes, _SHIFT), columns, rows, exponent, theta, scale, error, energy,
+                 kernels.tabulate, kernels.values, kernels.log_normalisation,
+                 kernels.source_log_normalisation)  # fmt: skip
+    return Measured(error, energy)
