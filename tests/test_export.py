@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from brdffit.errors import UnknownNameError
 from brdffit.roughness import log_from_tensor, tensor_from_log
 from brdffit.svbrdf import level_sizes
+from brdffit.textures.conversion import DIELECTRIC_F0
 from brdffit.textures.encoding import linear_from_srgb
 from brdffit.textures.export import dominant_direction, encode_picture, encode_srgb, quantise, write_pyramid
 from brdffit.textures.image_io import read_image, read_mip_exr
 from brdffit.textures.manifest import build_manifest
 from brdffit.textures.presets import (
-    DIELECTRIC_F0,
     GODOT_RANGE,
     PRESETS,
     Channels,

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from brdffit.methods import one_of
 from brdffit.roughness import eigenvalues_of_log, perceptual_from_alpha_squared, perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
+from brdffit.textures.conversion import DIELECTRIC_F0
 
-#: Reflectance at normal incidence of every dielectric in the metallic-roughness model (index of refraction 1.5).
-DIELECTRIC_F0 = 0.04
 #: Godot's smallest ratio of the two alphas: aspect^2 = 1 - 0.9 anisotropy.
 GODOT_RANGE = 0.9
 
