@@ -14,7 +14,7 @@ from brdffit.roughness import log_from_tensor, tensor_from_log
 from brdffit.svbrdf import level_sizes
 from brdffit.textures.conversion import DIELECTRIC_F0
 from brdffit.textures.encoding import linear_from_srgb
-from brdffit.textures.export import dominant_direction, encode_picture, encode_srgb, quantise, write_pyramid
+from brdffit.textures.export import dominant_direction, encode_level, encode_srgb, quantise, write_pyramid
 from brdffit.textures.image_io import read_image, read_mip_exr
 from brdffit.textures.manifest import build_manifest
 from brdffit.textures.presets import (
@@ -117,9 +117,8 @@ def test_a_preset_writes_its_pictures_for_every_level(tmp_path, name, bits):
         if picture.needs == "occlusion":
             continue
         for k, level in enumerate(pyramid.levels):
-            codes, _ = encode_picture(
-                level.svbrdf, picture, preset.normal_y, dominant_direction(pyramid[0].svbrdf), bits
-            )
+            towards = dominant_direction(pyramid[0].svbrdf)
+            codes, _ = encode_level(level.svbrdf, [picture], preset.normal_y, towards, bits)[0]
             image = read_image(tmp_path / "set" / "mips" / f"set_{picture.role}.{k}.png")
             assert image.bits == bits
             # Alpha must not have been multiplied in, nor colours converted.
@@ -152,7 +151,7 @@ def test_occlusion_is_written_where_there_is_some(tmp_path):
 def test_packed_channels_hold_what_the_engine_reads(preset, role, channels):
     svbrdf = random_svbrdf((5, 7), occlusion=np.random.default_rng(5).random((5, 7), dtype=np.float32))
     picture = next(picture for picture in get_preset(preset).pictures if picture.role == role)
-    codes, _ = encode_picture(svbrdf, picture, "gl", (1.0, 0.0), 16)
+    codes, _ = encode_level(svbrdf, [picture], "gl", (1.0, 0.0), 16)[0]
     # By hand: what each name means, apart from `Channels`.
     _, metallic = base_color_and_metallic(svbrdf.specular, svbrdf.diffuse)
     tensor = tensor_from_log(svbrdf.log_roughness).astype(np.float64)

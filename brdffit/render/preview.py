@@ -34,8 +34,8 @@ _CHUNK = 1 << 15
 
 #: Lights: direction (x right, y up, z to the viewer), irradiance RGB, alpha by which its size widens every highlight.
 _LIGHTS = (
-    ((-0.55, 0.60, 0.58), (3.2, 3.1, 2.9), 0.09),
-    ((0.85, -0.05, 0.30), (0.9, 1.1, 1.4), 0.11),
+    ((-0.55, 0.60, 0.58), (3.2, 3.1, 2.9), 0.06),
+    ((0.85, -0.05, 0.30), (0.9, 1.1, 1.4), 0.10),
 )
 #: Radiance of the surroundings straight above and straight below; between them it goes linearly.
 _SKY, _GROUND = np.array((0.62, 0.63, 0.66), np.float32), np.array((0.10, 0.095, 0.09), np.float32)

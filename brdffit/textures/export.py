@@ -1,12 +1,12 @@
 """Writing a pyramid: MIP-mapped EXR files, engine-ready pictures, manifest and preview, all of them or none.
 
-Memory stays near one file's worth at any size: files are written one after another, pictures level by level, and
+Memory stays near one EXR file's worth at any size: those are written one after another, pictures level by level, and
 derived quantities are computed in bands of rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -115,25 +115,25 @@ def encode_srgb(linear: NDArray) -> NDArray:
 def quantise(values: NDArray, bits: int) -> NDArray:
     """[0, 1] to codes of uint8 or uint16, halves upwards; values outside are clipped."""
     top = 2**bits - 1
-    return np.floor(np.clip(values, 0.0, 1.0) * top + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
+    return np.floor(np.clip(values, 0.0, 1.0) * top + 0.5).astype(f"uint{bits}")
 
 
-def encode_picture(
-    svbrdf: Svbrdf, picture: Picture, normal_y: str, towards: tuple[float, float], bits: int
-) -> tuple[NDArray, int]:
-    """One picture of one level, (H, W, C) codes, and how many values lay outside [0, 1] and were clipped."""
-    height, width = svbrdf.size
-    out = np.empty((height, width, len(picture.channels)), np.uint8 if bits == 8 else np.uint16)
-    clipped = 0
+def encode_level(
+    svbrdf: Svbrdf, pictures: Sequence[Picture], normal_y: str, towards: tuple[float, float], bits: int
+) -> list[tuple[NDArray, int]]:
+    """The pictures of one level: (H, W, C) codes of each, and how many values lay outside [0, 1] and were clipped."""
+    encoded = [np.empty((*svbrdf.size, len(picture.channels)), f"uint{bits}") for picture in pictures]
+    clipped = [0] * len(pictures)
     # Float arithmetic may leave [0, 1] by a few ulps where nothing is lost.
     slack = 1e-5
     for rows in _bands(svbrdf.size):
         channels = Channels(_rows(svbrdf, rows), normal_y, towards)
-        for index, channel in enumerate(picture.channels):
-            values = channels[channel]
-            clipped += int(np.count_nonzero((values < -slack) | (values > 1.0 + slack)))
-            out[rows, :, index] = quantise(encode_srgb(values) if picture.srgb else values, bits)
-    return out, clipped
+        for index, picture in enumerate(pictures):
+            for place, channel in enumerate(picture.channels):
+                values = channels[channel]
+                clipped[index] += int(np.count_nonzero((values < -slack) | (values > 1.0 + slack)))
+                encoded[index][rows, :, place] = quantise(encode_srgb(values) if picture.srgb else values, bits)
+    return list(zip(encoded, clipped, strict=True))
 
 
 def dominant_direction(svbrdf: Svbrdf) -> tuple[float, float]:
@@ -150,17 +150,17 @@ def _write_pictures(pyramid: Pyramid, fresh: Path, name: str, preset: Preset, bi
     towards = dominant_direction(pyramid[0].svbrdf)
     base = pyramid[0].svbrdf
     present = {"": True, "anisotropy": pyramid.options.lobe == "anisotropic", "occlusion": base.occlusion is not None}
-    written: dict[str, Any] = {}
-    for picture in preset.pictures:
-        if not present[picture.needs]:
-            continue
-        clipped = []
-        for mip_level, level in enumerate(pyramid.levels):
-            codes, outside = encode_picture(level.svbrdf, picture, preset.normal_y, towards, bits)
+    pictures = [picture for picture in preset.pictures if present[picture.needs]]
+    clipped: list[list[int]] = [[] for _ in pictures]
+    for mip_level, level in enumerate(pyramid.levels):
+        encoded = encode_level(level.svbrdf, pictures, preset.normal_y, towards, bits)
+        for picture, counts, (codes, outside) in zip(pictures, clipped, encoded, strict=True):
             write_png(fresh / "mips" / f"{name}_{picture.role}.{mip_level}.png", codes)
-            clipped.append(outside)
-        written[picture.role] = {"channels": picture.channels, "srgb": picture.srgb, "clipped_values": clipped}
-    return written
+            counts.append(outside)
+    return {
+        picture.role: {"channels": picture.channels, "srgb": picture.srgb, "clipped_values": counts}
+        for picture, counts in zip(pictures, clipped, strict=True)
+    }
 
 
 def _write_exr_files(pyramid: Pyramid, fresh: Path) -> list[int]:

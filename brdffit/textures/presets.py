@@ -339,10 +339,15 @@ def base_color_and_metallic(specular: NDArray, diffuse: NDArray) -> tuple[NDArra
     root = np.sqrt(np.maximum(np.square(total) - 4.0 * DIELECTRIC_F0 * d, 0.0))
     # The smaller root in the form without cancellation.
     metal = np.clip(2.0 * d / np.maximum(total + root, np.finfo(np.float32).tiny), 0.0, 1.0)
-    dielectric = np.clip((total + root) / (2.0 * DIELECTRIC_F0), 0.0, 1.0)
-    tie = 1e-4  # well below one code of an 8-bit picture
-    keep = _misfit(specular, diffuse, dielectric) <= _misfit(specular, diffuse, metal) + tie * tie
-    q = np.where(keep, dielectric, metal)
+    dielectric = (total + root) / (2.0 * DIELECTRIC_F0)
+    q = metal
+    # Only for dark colours is the larger root a share at all; 5% more, for those that noise has pushed out.
+    dark = dielectric <= 1.05
+    if dark.any():
+        tie = 1e-4  # of reflectance: well below one code of an 8-bit picture
+        other = np.minimum(dielectric[dark], 1.0)
+        misfits = [_misfit(specular[dark], diffuse[dark], share) for share in (other, metal[dark])]
+        q[dark] = np.where(misfits[0] <= misfits[1] + tie * tie, other, metal[dark])
     return np.clip(_base_color(specular, diffuse, q), 0.0, 1.0), (1.0 - q).astype(np.float32)
 
 
