@@ -9,16 +9,16 @@ from brdffit.errors import InputError
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures import encoding
+from brdffit.textures.orientation import scale_from_slopes
 from brdffit.textures.texture_set import Map, TextureSet
 
 #: Reflectance of a dielectric at normal incidence (index of refraction 1.5).
 DIELECTRIC_F0 = 0.04
 #: What stands for a map that is missing.
 DEFAULT_BASE_COLOR, DEFAULT_ROUGHNESS = 0.5, 0.5
-#: Height between the values 0 and 1 of a height map nobody gave a scale for, as a share of the texture's longer side.
-DEFAULT_HEIGHT_SHARE = 0.05
-#: Correlation of a normal map's slopes with a height's gradient from which the height's scale is taken from them.
-_SCALE_AGREEMENT = 0.3
+#: Height between the values 0 and 1 of a height map nobody gave a scale for, as a share of the texture's longer side:
+#: about the median of the real sets whose normal maps tell it.
+DEFAULT_HEIGHT_SHARE = 0.02
 #: The mean of a normal map's red and green where 0.5 was decoded from sRGB, or encoded to it.
 _SRGB_MEANS = {"decoded as": 0.2140, "encoded as": 0.7354}
 
@@ -67,16 +67,13 @@ def decode_normals(texture_set: TextureSet) -> NDArray:
     """
     named = texture_set.maps["normal"]
     pixels, noise = named.read()
-    if named.info.is_float and float(pixels.min()) < -0.01:
-        vectors = pixels[:, :, :3]  # stored signed, as some EXR are
-    else:
-        vectors = 2.0 * pixels[:, :, :3] - 1.0
     if pixels.shape[2] == 1:
         raise InputError(f"'{named.path}' has one channel, expected a normal map with two or three.")
+    vectors = encoding.stored_vectors(pixels, named.info.is_float)
     # Two-channel PNGs are grey with alpha; block-compressed ones come back with a blue of zero or a constant.
     two_channel = pixels.shape[2] == 2 or float(np.ptp(vectors[:, :, 2])) == 0.0
-    if two_channel and float(np.ptp(vectors[:, :, :2])) == 0.0 and pixels.shape[2] > 2:
-        two_channel = not 0.5 < float(np.linalg.norm(vectors[0, 0])) < 1.5  # a constant map keeps what it says
+    if two_channel and vectors.shape[2] > 2 and float(np.ptp(vectors, axis=(0, 1)).max()) == 0.0:
+        two_channel = not 0.0 < float(vectors[0, 0, 2])  # a constant map keeps what it says
     _check_normals(named, pixels, vectors, two_channel)
     xy = encoding.subtract_noise_floor(vectors[:, :, :2], noise, texture_set.wrap)
     z = encoding.rebuild_z(xy) if two_channel else vectors[:, :, 2]
@@ -147,7 +144,7 @@ def _height_scale(texture_set: TextureSet, height: NDArray, vectors: NDArray | N
         return texture_set.height_scale
     default = DEFAULT_HEIGHT_SHARE * max(texture_set.size)
     if vectors is not None and vectors.shape[:2] == height.shape:
-        scale = scale_from_slopes(height, vectors, texture_set.wrap)
+        scale = scale_from_slopes(height, vectors)
         if scale is not None:
             scale *= texture_set.size[0] / height.shape[0]
             texture_set.note(
@@ -159,29 +156,6 @@ def _height_scale(texture_set: TextureSet, height: NDArray, vectors: NDArray | N
         f"height-scale if it does not."
     )
     return default
-
-
-def scale_from_slopes(height: NDArray, vectors: NDArray, wrap: str) -> float | None:
-    """Factor of ``height`` (H, W) at which its gradient best fits the slopes of normals (H, W, 3); None if none does.
-
-    Both are averaged over blocks of texels first: the noise of an 8-bit height would bias the regression towards zero.
-    """
-    slope = encoding.slopes_of_normals(0.5 * vectors + 0.5)
-    block = 1 if min(height.shape) < 32 else 4
-    gradient = encoding.height_gradient(_blocks(height, block), wrap)[1:-1, 1:-1] / block
-    slope = _blocks(slope, block)[1:-1, 1:-1]
-    power = float(np.square(gradient).sum(dtype=np.float64))
-    norm = power * float(np.square(slope).sum(dtype=np.float64))
-    cross = float((gradient * slope).sum(dtype=np.float64))
-    if norm <= 0.0 or cross < _SCALE_AGREEMENT * norm**0.5:
-        return None
-    return cross / power
-
-
-def _blocks(array: NDArray, block: int) -> NDArray:
-    rows, columns = array.shape[0] // block, array.shape[1] // block
-    cut = array[: rows * block, : columns * block]
-    return cut.reshape(rows, block, columns, block, *array.shape[2:]).mean(axis=(1, 3))
 
 
 def _roughness(texture_set: TextureSet, min_roughness: float) -> NDArray:

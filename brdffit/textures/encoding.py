@@ -22,8 +22,8 @@ _JPEG_TO_RED, _JPEG_TO_GREEN = (1.0, 0.0, 1.402), (1.0, 0.344136, 0.714136)
 ZERO_LENGTH = 0.02
 #: Smallest z of a unit normal, one code step at 8 bits: what lies lower has no slope that can be told.
 MIN_NORMAL_Z = 2.0 / 255.0
-#: Headroom for rounding when the detail of a dithering map is compared with its budget.
-_ROUNDING = 1.0 + 1e-3
+#: Headroom for rounding when the detail of a dithering map is compared with what is left of its budget, and with all.
+_ROUNDING, _ROUNDING_OF_ALL = 1.0 + 1e-3, 1e-4
 
 
 def linear_from_srgb(encoded: NDArray) -> NDArray:
@@ -91,6 +91,7 @@ def subtract_noise_floor(xy: NDArray, noise: CodeNoise, wrap: str) -> NDArray:
     means, gains = [np.ascontiguousarray(np.moveaxis(np.asarray(xy, dtype=np.float32), 2, 0))], []
     budget = np.broadcast_to(np.array(noise.variance, np.float32)[:, None, None], means[0].shape)
     threshold = _ROUNDING * np.array([t / v for t, v in zip(noise.together, noise.variance, strict=True)], np.float32)
+    slack = _ROUNDING_OF_ALL * np.array(noise.variance, np.float32)[:, None, None]
     while max(means[-1].shape[1:]) > 1:
         level = _pad_even(means[-1], wrap)
         coarse = _block_mean(level)
@@ -98,7 +99,7 @@ def subtract_noise_floor(xy: NDArray, noise: CodeNoise, wrap: str) -> NDArray:
         detail = _block_mean(np.square(level - _repeat(coarse, level.shape[1:])))
         budget = _block_mean(_pad_even(budget, wrap))
         local_detail, local_budget = _mean_3x3(detail, wrap), _mean_3x3(budget, wrap)
-        kept = local_detail > threshold[:, None, None] * local_budget
+        kept = local_detail > threshold[:, None, None] * local_budget + slack
         gains.append(np.sqrt(np.where(kept, 1.0 - local_budget / np.where(kept, local_detail, 1.0), 0.0)))
         budget = budget - np.minimum(detail, budget)
         means.append(coarse)
@@ -115,14 +116,24 @@ def subtract_noise_floor(xy: NDArray, noise: CodeNoise, wrap: str) -> NDArray:
 
 def rebuild_z(xy: NDArray) -> NDArray:
     """z (H, W) of unit normals from x and y (H, W, 2); 0 where x and y alone are longer than 1."""
-    return np.sqrt(np.maximum(0.0, 1.0 - np.square(xy).sum(axis=2)))
+    return np.sqrt(np.maximum(0.0, 1.0 - _squared_length(xy)))
 
 
-def slopes_of_normals(pixels: NDArray) -> NDArray:
-    """(H, W, 2) slopes (-x/z, -y/z) of stored normals in [0, 1] with 2 or 3 channels, z held from the horizon."""
-    xy = 2.0 * pixels[:, :, :2] - 1.0
-    constant = pixels.shape[2] < 3 or float(np.ptp(pixels[:, :, 2])) == 0.0
-    z = rebuild_z(xy) if constant else 2.0 * pixels[:, :, 2] - 1.0
+def stored_vectors(pixels: NDArray, is_float: bool) -> NDArray:
+    """Vectors (H, W, 2 or 3) of a stored normal map; float files may hold them signed instead of in [0, 1]."""
+    pixels = pixels[:, :, :3]
+    if is_float:
+        across = float(np.abs(pixels[:, :, :2].mean(axis=(0, 1), dtype=np.float64)).max())
+        if float(pixels.min()) < -0.01 or across < 0.1:
+            return pixels
+    return 2.0 * pixels - 1.0
+
+
+def slopes_of_normals(vectors: NDArray) -> NDArray:
+    """(H, W, 2) slopes (-x/z, -y/z) of normals of any length (H, W, 2 or 3), z held from the horizon."""
+    xy = vectors[:, :, :2]
+    constant = vectors.shape[2] < 3 or float(np.ptp(vectors[:, :, 2])) == 0.0
+    z = rebuild_z(xy) if constant else vectors[:, :, 2]
     return -xy / np.maximum(z, 0.1)[:, :, None]
 
 
@@ -132,7 +143,7 @@ def unit_normals(vectors: NDArray) -> tuple[NDArray, dict[str, int]]:
     Vectors of no length become z; those at or below the horizon are lifted to it by turning them in their own azimuth.
     """
     vectors = np.asarray(vectors, dtype=np.float32)
-    length = np.sqrt(np.square(vectors).sum(axis=2))
+    length = np.sqrt(_squared_length(vectors))
     zero = length < ZERO_LENGTH
     normals = vectors / np.where(zero, 1.0, length)[:, :, None]
     normals[zero] = (0.0, 0.0, 1.0)
@@ -164,7 +175,7 @@ def height_gradient(height: NDArray, wrap: str) -> NDArray:
 def normals_from_gradient(gradient: NDArray) -> NDArray:
     """Unit normals (H, W, 3) of a surface z = h(x, y) with gradient (H, W, 2)."""
     vectors = np.concatenate([-gradient, np.ones_like(gradient[:, :, :1])], axis=2)
-    return vectors / np.sqrt(np.square(vectors).sum(axis=2, keepdims=True))
+    return vectors / np.sqrt(_squared_length(vectors))[:, :, None]
 
 
 def resample(array: NDArray, size: tuple[int, int], wrap: str) -> NDArray:
@@ -182,6 +193,14 @@ def resample(array: NDArray, size: tuple[int, int], wrap: str) -> NDArray:
         )
         array = np.take(array, first, axis) * (1.0 - weight) + np.take(array, second, axis) * weight
     return array
+
+
+def _squared_length(vectors: NDArray) -> NDArray:
+    # Adding channels is many times faster than a reduction over a short axis.
+    total = np.square(vectors[:, :, 0])
+    for channel in range(1, vectors.shape[2]):
+        total += np.square(vectors[:, :, channel])
+    return total
 
 
 def _pad_even(array: NDArray, wrap: str) -> NDArray:

@@ -120,17 +120,18 @@ def _look_at_map(inspection: Inspection, texture_set: TextureSet, role: str) -> 
         if values.size > 3 and float(np.ptp(values, axis=(0, 1)).max()) <= _CONSTANT:
             inspection.wrong.append(f"The {role} of '{named.path.name}' is constant ({float(values.mean()):.3f}).")
         return
-    if pixels.shape[2] >= 3 and float(np.ptp(pixels[:, :, 2])) > 0.0:
-        length = float(np.sqrt(np.square(2.0 * pixels[:, :, :3] - 1.0).sum(axis=2)).mean(dtype=np.float64))
+    if pixels.shape[2] < 2:
+        return
+    vectors = encoding.stored_vectors(pixels, named.info.is_float)
+    if vectors.shape[2] == 3 and float(np.ptp(vectors[:, :, 2])) > 0.0:
+        length = float(np.sqrt(np.square(vectors).sum(axis=2)).mean(dtype=np.float64))
         inspection.statistics["stored_normal_length"] = length
         if length < SHORT_LENGTH:
             inspection.wrong.append(
                 f"The normals of '{named.path.name}' are short (mean length {length:.2f} at level 0, expected 1): they "
                 f"were averaged or squeezed before; they are normalised here."
             )
-    if pixels.shape[2] < 2:
-        return
-    xy = 2.0 * pixels[:, :, :2] - 1.0
+    xy = vectors[:, :, :2]
     spread = float(xy.std())
     if 0.0 < spread < 4.0 * noise.step:
         kept = float(encoding.subtract_noise_floor(xy, noise, texture_set.wrap).std(axis=(0, 1)).max())

@@ -170,7 +170,7 @@ def _find_maps(path: Path, roles: dict[str, str]) -> TextureSet:
         texture_set.maps |= _explicit(path.parent, roles)
         return texture_set
     try:
-        names = sorted(entry.name for entry in os.scandir(path) if entry.is_file())
+        names = sorted(entry.name for entry in os.scandir(path) if entry.is_file() and entry.name[0] != ".")
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
     images = [name for name in names if name.lower().endswith(IMAGE_SUFFIXES)]

@@ -1,0 +1,128 @@
+"""Reading and writing images: what is read is what was stored, and what is broken is told."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import write_image
+
+from brdffit.errors import InputError, OutputError
+from brdffit.textures.image_io import read_image, read_info, read_mip_exr, write_mip_exr, write_png
+
+RNG = np.random.default_rng(0)
+
+
+def mip_levels(height: int, width: int, channels: int = 3) -> list[np.ndarray]:
+    levels = [RNG.normal(size=(height, width, channels)).astype(np.float32)]
+    while levels[-1].shape[:2] != (1, 1):
+        h, w = (max(1, side // 2) for side in levels[-1].shape[:2])
+        levels.append(RNG.normal(size=(h, w, channels)).astype(np.float32))
+    return levels
+
+
+@pytest.mark.parametrize("kind", ["uint8", "uint16"])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_png_returns_its_codes(tmp_path: Path, kind: str, channels: int) -> None:
+    codes = RNG.integers(0, np.iinfo(kind).max, (7, 5, channels), endpoint=True).astype(kind)
+    write_png(tmp_path / "a.png", codes)
+    image = read_image(tmp_path / "a.png")
+    assert (image.bits, image.is_float) == (8 * codes.itemsize, False)
+    # With alpha of zero too: premultiplied reading would lose the colours.
+    np.testing.assert_array_equal(np.rint(image.pixels * np.iinfo(kind).max), codes)
+
+
+@pytest.mark.parametrize(("kind", "bits"), [("half", 16), ("float", 32)])
+def test_float_formats_are_flagged_and_unscaled(tmp_path: Path, kind: str, bits: int) -> None:
+    stored = np.array([[[-3.5, 0.25, 1024.0]]])
+    image = read_image(write_image(tmp_path / "a.exr", stored, kind))
+    assert (image.bits, image.is_float) == (bits, True)
+    np.testing.assert_array_equal(image.pixels, stored)
+
+
+def test_header_alone_says_the_same(tmp_path: Path) -> None:
+    path = write_image(tmp_path / "a.png", RNG.random((3, 9, 2)), "uint16")
+    info, image = read_info(path), read_image(path)
+    assert (info.width, info.height, info.bits, info.channels) == (9, 3, 16, image.channels)
+    assert info.sha256 == image.sha256 != read_info(write_image(tmp_path / "b.png", np.zeros((3, 9, 2)))).sha256
+
+
+@pytest.mark.parametrize("size", [(60, 100), (1, 1), (1, 37), (130, 3)])
+def test_every_level_of_a_mip_exr_comes_back(tmp_path: Path, size: tuple[int, int]) -> None:
+    levels = mip_levels(*size)
+    write_mip_exr(tmp_path / "a.exr", levels, ("XX", "YY", "XY"), {"brdffit:model": "ggx"})
+    read = read_mip_exr(tmp_path / "a.exr", ("XX", "YY", "XY"))
+    assert len(read) == len(levels)
+    for stored, back in zip(levels, read, strict=True):
+        np.testing.assert_array_equal(stored, back)
+
+
+def test_a_mip_exr_has_no_date_in_it(tmp_path: Path) -> None:
+    levels = mip_levels(8, 8)
+    write_mip_exr(tmp_path / "a.exr", levels, ("X", "Y", "Z"))
+    time.sleep(1.1)
+    write_mip_exr(tmp_path / "b.exr", levels, ("X", "Y", "Z"))
+    assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
+
+
+def test_a_chain_that_stops_short_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="last MIP level"):
+        write_mip_exr(tmp_path / "a.exr", mip_levels(8, 8)[:-1], ("X", "Y", "Z"))
+
+
+def test_a_missing_channel_is_told(tmp_path: Path) -> None:
+    write_mip_exr(tmp_path / "a.exr", mip_levels(2, 2), ("X", "Y", "Z"))
+    with pytest.raises(InputError, match="has the channels X, Y, Z, expected R, G, B"):
+        read_mip_exr(tmp_path / "a.exr", ("R", "G", "B"))
+
+
+@pytest.mark.parametrize(("suffix", "kind"), [("png", "uint8"), ("png", "uint16"), ("jpg", "uint8"), ("exr", "half")])
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_truncated_image_is_told(tmp_path: Path, suffix: str, kind: str, share: float) -> None:
+    path = write_image(tmp_path / f"a.{suffix}", RNG.random((40, 40, 3)), kind)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(InputError, match=r"'.*a\..*' is (truncated or damaged|not an image)"):
+        read_image(path)
+
+
+def test_missing_empty_wrong_kind_and_folder_are_told(tmp_path: Path) -> None:
+    (tmp_path / "empty.png").touch()
+    (tmp_path / "text.png").write_text("no picture")
+    cases = {
+        "none.png": "does not exist, expected an image file",
+        "empty.png": r"is empty \(0 bytes\), expected an image file",
+        "text.png": "is not an image that can be read",
+        ".": "is a folder, expected an image file",
+    }
+    for name, sentence in cases.items():
+        with pytest.raises(InputError, match=sentence):
+            read_image(tmp_path / name)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read everything")
+def test_an_unreadable_file_is_told(tmp_path: Path) -> None:
+    path = write_image(tmp_path / "a.png", np.zeros((2, 2, 3)))
+    path.chmod(0)
+    with pytest.raises(InputError, match="cannot be read: Permission denied"):
+        read_image(path)
+
+
+@pytest.mark.parametrize("suffix", ["png", "exr"])
+def test_a_full_disk_and_a_missing_folder_are_told(tmp_path: Path, suffix: str) -> None:
+    def write(path: Path) -> None:
+        if suffix == "png":
+            write_png(path, RNG.integers(0, 255, (64, 64, 3), dtype=np.uint8))
+        else:
+            write_mip_exr(path, mip_levels(64, 64), ("X", "Y", "Z"))
+
+    with pytest.raises(OutputError, match="could not be written"):
+        write(tmp_path / "nowhere" / f"a.{suffix}")
+    if not Path("/dev/full").exists():
+        pytest.skip("needs /dev/full")
+    (tmp_path / f"a.{suffix}").symlink_to("/dev/full")
+    with pytest.raises(OutputError, match="is the folder writable and the disk not full"):
+        write(tmp_path / f"a.{suffix}")
