@@ -70,6 +70,23 @@ def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, monkeypatch, er
     assert [path.name for path in tmp_path.iterdir()] == (["set"] if there_before else [])
 
 
+def test_a_full_disk_leaves_what_was_there(tmp_path):
+    """The system's own limit on the size of a file stands in for the disk: real writers, a real failure."""
+    resource = pytest.importorskip("resource")
+    folder = tmp_path / "set"
+    write(folder)
+    before = contents(tmp_path)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (600, hard))
+    try:
+        with pytest.raises(OutputError) as raised:
+            write(folder, seed=1)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert f"'{folder}" in str(raised.value) and "brdffit-new" not in str(raised.value)
+    assert contents(tmp_path) == before
+
+
 def test_a_failed_exchange_leaves_what_was_there(tmp_path, monkeypatch):
     folder = tmp_path / "set"
     write(folder)

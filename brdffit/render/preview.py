@@ -166,9 +166,8 @@ def light_reference(
     order = np.argsort(texels, kind="stable")
     scale = base.size[0] / size[0], base.size[1] / size[1]
     side = int(min(max(2, np.ceil(2 * max(scale))), _MOST_SUBSAMPLES))
-    shown = [_neighbourhood(base, axis, math.ceil(window[axis] * scale[axis])) for axis in (0, 1)]
-    rows, columns = shown
-    packed = _packed(base.replace(**{name: array[rows][:, columns] for name, array in base.arrays().items()}))
+    around = np.ix_(*[_neighbourhood(base, axis, math.ceil(window[axis] * scale[axis])) for axis in (0, 1)])
+    packed = _packed(base.replace(**{name: array[around] for name, array in base.arrays().items()}))
     radiance = np.empty((len(texels), 3), np.float32)
 
     def light_chunk(chunk: slice) -> None:
@@ -284,13 +283,14 @@ def _compose(
     ball = scene.ball
     left = _MARGIN + lettering.width("MIDDLE", 2) + _GAP
     width = left + 3 * ball + 2 * _GAP + _MARGIN
-    picture = np.empty((_HEADER + len(balls) * (ball + _CAPTION) + _MARGIN // 2, width, 3), np.uint8)
+    picture = np.empty((_HEADER + len(balls) * (ball + _CAPTION) + _MARGIN, width, 3), np.uint8)
     picture[:] = np.round(255.0 * _displayed(_BACKGROUND))
-    names = ("NAIVE", f"BRDFFIT: {method}", "REFERENCE")
+    names = ("naive", "brdffit" if method == "bfgs" else method.rpartition(":")[2], "reference")
     for column, name in enumerate(names):
         middle = left + column * (ball + _GAP) + ball // 2
-        lettering.write(picture, name, (24, middle), 3 if len(name) < 14 else 2, _INK, centred=True)
-    lettering.write(picture, title, (28, _MARGIN), 1, _DIM)
+        scale = max((scale for scale in (1, 2, 3) if lettering.width(name, scale) <= ball), default=1)
+        lettering.write(picture, name, (24, middle), scale, _INK, centred=True)
+    lettering.write(picture, title, (len(picture) - _MARGIN + 6, _MARGIN), 1, _DIM)
     distances = {1: ("FAR",), 2: ("NEAR", "FAR"), 3: ("NEAR", "MIDDLE", "FAR")}.get(len(balls), ("",) * len(balls))
     for row, (lit, level) in enumerate(zip(balls, levels, strict=True)):
         top = _HEADER + row * (ball + _CAPTION)

@@ -91,6 +91,9 @@ def replacing(folder: str | Path, is_ours: Callable[[Path], str | None]) -> Iter
                     _flush(fresh)
                     _take_place(fresh, folder)
                     _flush_entry(folder.parent)
+            except OutputError as error:
+                # A writer knows the hidden name only; the user knows the folder.
+                raise OutputError(str(error).replace(str(fresh), str(shown))) from error
             finally:
                 shutil.rmtree(fresh, ignore_errors=True)
     except OSError as error:
