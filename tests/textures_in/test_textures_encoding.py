@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import bumps, write_image
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pictures import bumps, write_image
 
 from brdffit.textures import encoding
 from brdffit.textures.encoding import code_noise, subtract_noise_floor

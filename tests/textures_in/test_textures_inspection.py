@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from conftest import bumps, encoded
+from pictures import bumps, encoded
 
 from brdffit.textures.inspection import inspect_set
 from brdffit.textures.texture_set import read_texture_set

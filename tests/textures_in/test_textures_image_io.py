@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import write_image
+from pictures import write_image
 
 from brdffit.errors import InputError, OutputError
 from brdffit.textures.image_io import read_image, read_info, read_mip_exr, write_mip_exr, write_png

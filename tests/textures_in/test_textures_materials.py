@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import bumps, encoded, write_image
+from pictures import bumps, encoded, write_image
 
 from brdffit.errors import InputError
 from brdffit.roughness import perceptual_from_log_tensor
