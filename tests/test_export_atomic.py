@@ -22,8 +22,8 @@ needs_permissions = pytest.mark.skipif(
 )
 
 
-def write(folder, seed=0):
-    pyramid = averaged_pyramid(random_svbrdf((8, 8), seed=seed))
+def write(folder, seed=0, size=(8, 8)):
+    pyramid = averaged_pyramid(random_svbrdf(size, seed=seed))
     return write_pyramid(pyramid, folder, name="set", manifest=build_manifest(pyramid, name="set"))
 
 
@@ -70,17 +70,23 @@ def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, monkeypatch, er
     assert [path.name for path in tmp_path.iterdir()] == (["set"] if there_before else [])
 
 
-def test_a_full_disk_leaves_what_was_there(tmp_path):
+@pytest.mark.parametrize("missing", [None, 10000, 50], ids=["nearly all", "the end of an EXR file", "its last bytes"])
+def test_a_full_disk_leaves_what_was_there(tmp_path, missing):
     """The system's own limit on the size of a file stands in for the disk: real writers, a real failure."""
     resource = pytest.importorskip("resource")
     folder = tmp_path / "set"
+    write(folder, seed=1, size=(64, 64))
+    sizes = {name: len(data) for name, data in contents(folder).items()}
+    largest = max(sizes, key=sizes.__getitem__)
+    assert largest.endswith(".exr")
+    most_bytes = 600 if missing is None else sizes[largest] - missing
     write(folder)
     before = contents(tmp_path)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (600, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, hard))
     try:
         with pytest.raises(OutputError) as raised:
-            write(folder, seed=1)
+            write(folder, seed=1, size=(64, 64))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert f"'{folder}" in str(raised.value) and "brdffit-new" not in str(raised.value)

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.errors import InputError, OutputError
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.methods import Pyramid
 from brdffit.roughness import tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures import atomic
-from brdffit.textures.image_io import write_mip_exr, write_png
+from brdffit.textures.image_io import read_mip_exr, write_mip_exr, write_png
 from brdffit.textures.manifest import FILE_NAME, file_digest, foreign_file, stable_digest, to_json
 from brdffit.textures.presets import Channels, Picture, Preset, get_preset
 
@@ -177,7 +178,18 @@ def _write_exr_files(pyramid: Pyramid, fresh: Path) -> list[int]:
                 averaged = _normalised(averaged)
             levels.append(averaged)
         write_mip_exr(fresh / f"{file_name}.exr", levels, channels)
+        _verify(fresh / f"{file_name}.exr", levels, channels)
     return list(range(len(pyramid), len(sizes)))
+
+
+def _verify(path: Path, levels: Sequence[NDArray], channels: Sequence[str]) -> None:
+    """Read a file back: on a full disk the EXR writer closes a truncated file without a word."""
+    try:
+        stored = read_mip_exr(path, channels)
+    except InputError:
+        stored = []
+    if len(stored) != len(levels) or not all(map(np.array_equal, stored, levels)):
+        raise OutputError(f"'{path}' could not be written in full: is the disk full?")
 
 
 def _normalised(normal: NDArray) -> NDArray:
