@@ -16,6 +16,7 @@ from brdffit.fitting.status import CONVERGED, FALLBACK, FLAT, REFINED
 from brdffit.fitting.texel import DISAGREEMENT, EVALUATIONS, REPORT, RESIDUAL, TOO_COARSE, Scratch, Search, fit_texel
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
+from brdffit.halfangle.closed_forms import STARTS
 from brdffit.models import Model
 
 
@@ -73,7 +74,7 @@ def fit_rows(
     report = np.zeros(REPORT)
     for i in range(columns.size):
         status = fit_texel(
-            base, strata, points, columns[i], rows[i], search, scratch, moment, report, False,
+            base, strata, points, columns[i], rows[i], search, scratch, moment, report, 0,
             tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
         )  # fmt: skip
         theta, best, colour = scratch.theta, scratch.best, scratch.colour
@@ -81,7 +82,7 @@ def fit_rows(
         doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + _NEGLIGIBLE
         if status == TOO_COARSE or (status != FLAT and doubtful):
             status = fit_texel(
-                base, strata_1, points_1, columns[i], rows[i], search, scratch_1, moment, report, False,
+                base, strata_1, points_1, columns[i], rows[i], search, scratch_1, moment, report, 1,
                 tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
             )  # fmt: skip
             theta, best, colour = scratch_1.theta, scratch_1.best, scratch_1.colour
@@ -89,7 +90,7 @@ def fit_rows(
             doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + _NEGLIGIBLE
             if status == TOO_COARSE or doubtful:
                 status = fit_texel(
-                    base, strata_2, points_2, columns[i], rows[i], search, scratch_2, moment, report, True,
+                    base, strata_2, points_2, columns[i], rows[i], search, scratch_2, moment, report, 2,
                     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
                 )  # fmt: skip
                 theta, best, colour = scratch_2.theta, scratch_2.best, scratch_2.colour
@@ -203,7 +204,7 @@ def make_scratch(rule: Rule, float_width: int = 32) -> Scratch:
     count, nodes = rule.strata.count, rule.points.shape[1]
     real = np.float32 if float_width == 32 else np.float64
     return Scratch(
-        lobes=np.zeros((count, quadrature.LOBE_COLUMNS)),
+        lobes=np.zeros((count + 1, quadrature.LOBE_COLUMNS)),
         nodes=np.zeros((quadrature.NODE_ROWS, nodes), real),
         values=np.zeros(nodes, real),
         work=np.zeros(WORK),
@@ -211,7 +212,7 @@ def make_scratch(rule: Rule, float_width: int = 32) -> Scratch:
         theta=np.zeros(objective.PARAMETERS),
         best=np.zeros(objective.PARAMETERS),
         start=np.zeros(objective.PARAMETERS),
-        starts=np.zeros((8, objective.PARAMETERS + 1)),
+        starts=np.zeros((STARTS, objective.PARAMETERS)),
         colour=np.ones(3),
     )
 

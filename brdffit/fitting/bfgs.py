@@ -66,7 +66,7 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
     Returns (value, evaluations, status); theta is never worse than it was.
     """
     gradient = work[0:6]
-    trial_gradient, trial, direction = work[6:12], work[12:18], work[18:24]
+    trial_gradient, trial = work[6:12], work[12:18]
     z_gradient, step, change, image = work[24:30], work[30:36], work[36:42], work[42:48]
     columns = work[48:84].reshape(PARAMETERS, PARAMETERS)
     inverse = work[84:120].reshape(PARAMETERS, PARAMETERS)

@@ -228,6 +228,18 @@ def normalise_mixture(lobes, count):
 
 
 @kernel
+def add_defensive_lobe(lobes, count, share, m_x, m_y, a, b, c):
+    """Write a lobe without colour into ``lobes[count]`` and give it ``share`` of the mixture."""
+    for i in range(count):
+        lobes[i, MIXTURE] *= 1.0 - share
+    lobes[count, :] = 0.0
+    inverse = 1.0 / math.sqrt(1.0 + m_x * m_x + m_y * m_y)
+    lobes[count, 0], lobes[count, 1], lobes[count, 2] = -m_x * inverse, -m_y * inverse, inverse
+    lobes[count, LOG_TENSOR], lobes[count, LOG_TENSOR + 1], lobes[count, LOG_TENSOR + 2] = a, b, c
+    lobes[count, MIXTURE] = share
+
+
+@kernel
 def normalise_shapes(lobes, count, has_shape, log_normalisation):
     """NORMALISATION <- K(shape) of every lobe; one value serves all where the base has no shape of its own."""
     k = math.exp(log_normalisation(lobes[0, SHAPE])[0])

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from brdffit._jit import kernel
 from brdffit.footprint import get_pixel_filter
-from brdffit.halfangle.apparent_lobe import Base, Strata, gather_lobes, normalise_mixture, normalise_shapes, strata
+from brdffit.halfangle.apparent_lobe import Base, Strata, add_defensive_lobe, gather_lobes, normalise_mixture, normalise_shapes, strata
+from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, LEAN, STARTS, closed_forms
+from brdffit.halfangle.objective import PARAMETERS
 from brdffit.halfangle.quadrature import (
     BLUE,
     GREEN,
@@ -66,9 +68,14 @@ def dense_strata(
 def target_table(base, strata, points, column, row, exponent, lobes, nodes, work, tabulate_kernel,
                  source_log_normalisation):  # fmt: skip
     """Nodes, table and weights of one footprint; returns (mean colour r, g, b, <T,T>)."""
-    moment = work[9:18]
+    moment, starts = work[9:18], work[18 : 18 + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS)
     count = gather_lobes(base, strata, column, row, lobes, moment)
     red, green, blue, _ = normalise_mixture(lobes, count)
+    closed_forms(lobes, count, base.isotropic, starts, False)
+    add_defensive_lobe(
+        lobes, count, DEFENSIVE_SHARE, starts[LEAN, 0], starts[LEAN, 1], min(starts[LEAN, 2], 0.0),
+        min(starts[LEAN, 3], 0.0), starts[LEAN, 4],
+    )  # fmt: skip
     place_nodes(lobes, count, base.isotropic, points, exponent, nodes, work)
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
     tabulate_kernel(lobes, count, base.isotropic, base.grey, nodes, work)
@@ -84,10 +91,10 @@ def measure_rows(base, strata, points, columns, rows, exponent, theta, scale, er
                  tabulate_kernel, values_kernel, log_normalisation, source_log_normalisation):  # fmt: skip
     """Error and energy of lobes theta (M, n, 6), scale (M, n, 3) at n texels; into error and energy (M, n)."""
     count = strata.x.size * strata.y.size
-    lobes = np.zeros((count, LOBE_COLUMNS))
+    lobes = np.zeros((count + 1, LOBE_COLUMNS))
     nodes = np.zeros((NODE_ROWS, points.shape[1]), np.float32)
     values = np.zeros(points.shape[1], np.float32)
-    work = np.zeros(32)
+    work = np.zeros(64)
     for i in range(columns.size):
         red, green, blue, norm = target_table(
             base, strata, points, columns[i], rows[i], exponent, lobes, nodes, work, tabulate_kernel,

@@ -14,7 +14,9 @@ by a three-dimensional low-discrepancy point set (which lobe; radius and angle i
 density of the *whole* mixture, W_j = w(h_j) / (N p(h_j)): the balance heuristic of multiple importance sampling (Veach
 and Guibas 1995). A node of a wide lobe that falls on a narrow peak counts there only as one of the many that the narrow
 lobe sends, so wide and sharp lobes in one footprint do not spoil each other. The GGX shape is kept for every model: its
-tails are the longest, so w / p stays bounded.
+tails are the longest, so w / p stays bounded. And one more lobe takes part that is no base lobe: the closed-form start of
+the fit, with a share of the nodes. It covers what the fitted lobe covers and the target may leave empty, where a few
+nodes of enormous weight would otherwise decide (a defensive mixture, Hesterberg 1995).
 
 Sampling D (n.h) of a GGX lobe: slopes s = Sigma^(1/2) r (cos f, sin f) with r^2 = u / (1 - u), u and f uniform.
 """
@@ -63,8 +65,9 @@ def lattice(nodes: int, shift: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> 
 
 @kernel
 def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
-    """Draw the nodes from the mixture of ``lobes[:count]``; their mixture weights must sum to 1.
+    """Draw the nodes from the mixture of ``lobes[:count + 1]``; their mixture weights must sum to 1.
 
+    The last of them, ``lobes[count]``, is the defensive one; its tensor is always the full (a, b, c).
     Writes rows H_X, H_Y, H_Z of ``nodes`` (NODE_ROWS, N) and w(h) / N into WEIGHT (0 below the horizon); clears the
     table rows. ``frame`` (9,) is scratch.
     """
@@ -73,12 +76,12 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
     h_x, h_y, h_z, weight = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT]
     reached = 0.0
     first = 0
-    for i in range(count):
+    for i in range(count + 1):
         reached += lobes[i, MIXTURE]
-        if first == size or (choice[first] >= reached and i < count - 1):
+        if first == size or (choice[first] >= reached and i < count):
             continue
         n_x, n_y, n_z = lobes[i, 0], lobes[i, 1], lobes[i, 2]
-        if isotropic:
+        if isotropic and i < count:
             e1 = e2 = math.sqrt(lobes[i, ALPHA_SQUARED])
             frame[0], frame[1], frame[2], frame[3], frame[4], frame[5] = tangent_frame(n_x, n_y, n_z)
         else:
@@ -87,7 +90,7 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
             e1, e2 = math.exp(l1), math.exp(l2)
         u_x, u_y, u_z = e1 * frame[0], e1 * frame[1], e1 * frame[2]
         v_x, v_y, v_z = e2 * frame[3], e2 * frame[4], e2 * frame[5]
-        while first < size and (choice[first] < reached or i == count - 1):
+        while first < size and (choice[first] < reached or i == count):
             h_x[first] = along[first] * u_x + across[first] * v_x + n_x
             h_y[first] = along[first] * u_y + across[first] * v_y + n_y
             h_z[first] = along[first] * u_z + across[first] * v_z + n_z
@@ -114,7 +117,7 @@ def amplitude(l1, l2):
 
 @kernel
 def tabulate(lobes, count, isotropic, grey, nodes, frame):
-    """Add every base lobe to the table: T_c(h_j) and p(h_j).
+    """Add every base lobe to the table, T_c(h_j) and p(h_j), and the defensive lobe to p.
 
     ``grey`` says that every lobe has equal channels: one is summed and copied. ``frame`` (9,) is scratch. Base lobes
     stop at their own horizon (n.h > 0).
@@ -122,8 +125,9 @@ def tabulate(lobes, count, isotropic, grey, nodes, frame):
     size = nodes.shape[1]
     h_x, h_y, h_z = nodes[H_X], nodes[H_Y], nodes[H_Z]
     red, green, blue, density = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[DENSITY]
-    for i in range(count):
-        if isotropic:
+    for i in range(count + 1):
+        base_isotropic = isotropic and i < count
+        if base_isotropic:
             wide = 1.0 / lobes[i, ALPHA_SQUARED]
             scale = wide / math.pi
             inverse = real(wide)
@@ -140,7 +144,7 @@ def tabulate(lobes, count, isotropic, grey, nodes, frame):
         a_blue = real(k * lobes[i, SPECULAR + 2])
         a_density = real(scale * lobes[i, MIXTURE])
         n_x, n_y, n_z = real(lobes[i, 0]), real(lobes[i, 1]), real(lobes[i, 2])
-        if isotropic and grey:
+        if base_isotropic and grey:
             for j in range(size):
                 d_x, d_y, d_z = h_x[j] - n_x, h_y[j] - n_y, h_z[j] - n_z
                 chord = d_x * d_x + d_y * d_y + d_z * d_z
@@ -151,7 +155,7 @@ def tabulate(lobes, count, isotropic, grey, nodes, frame):
                 g = profile(q, C, shape)
                 red[j] += a_red * g if cos > real(0.0) else real(0.0)
                 density[j] += a_density * ggx_profile(q, C, shape) * cos
-        elif isotropic:
+        elif base_isotropic:
             for j in range(size):
                 # sin^2 from the chord |h - n|: 1 - (n.h)^2 would cancel for sharp lobes.
                 d_x, d_y, d_z = h_x[j] - n_x, h_y[j] - n_y, h_z[j] - n_z

@@ -1,0 +1,174 @@
+"""Our method: the nonlinear fit of every texel of every level, built from the base."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError
+from brdffit.fitting.batch import ModelKernels, Output, Rule, fit_texels, fitting_kernel, make_output, model_kernels
+from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
+from brdffit.fitting.presets import Quality, get_quality
+from brdffit.fitting.status import FALLBACK, KEPT
+from brdffit.fitting.texel import Search
+from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter
+from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, strata
+from brdffit.halfangle.density import DENSITY_EXPONENTS
+from brdffit.halfangle.quadrature import lattice
+from brdffit.methods import BakeOptions, Level, Progress, Pyramid, one_of
+from brdffit.models import Model, get_model
+from brdffit.svbrdf import Svbrdf, level_sizes
+
+# A piece of work should take a fraction of a second, so that an interrupt is heard and the bar moves.
+_TEXELS_PER_PIECE = 4096
+_LEAST_PIECES = 32
+
+
+class NonlinearFit:
+    """Per texel and level: one lobe fitted to the average of all lobes under the pixel filter."""
+
+    name = "bfgs"
+    summary = "nonlinear fit of the lobe to the filtered lobes, by BFGS on the half-angle error integral (default)"
+
+    def prepare(self, model: str, source_model: str = "ggx") -> None:
+        """Compile (or load from the cache) what a bake needs, so that it is told apart from the fitting time."""
+        fitting_kernel()
+        model_kernels(source_model, model)
+
+    def bake(self, svbrdf: Svbrdf, options: BakeOptions, progress: Progress | None = None) -> Pyramid:
+        """Fit every level from the base.
+
+        Raises:
+            UnknownNameError: for an unknown model, pixel filter, quality, or kind of fit.
+            InputError: when the base holds a number that is not finite.
+        """
+        target, source = get_model(options.model), get_model(svbrdf.model)
+        pixel_filter, quality = get_pixel_filter(options.pixel_filter), get_quality(options.quality)
+        if not svbrdf.is_finite():
+            raise InputError("The SVBRDF holds numbers that are not finite; every texel must be a finite number.")
+        kernels = model_kernels(source.name, target.name)
+        base = base_of(svbrdf, source.default_shape)
+        search = _search(options, quality, base, source, target)
+        sizes = level_sizes(svbrdf.size, options.levels)
+        pyramid = Pyramid(self.name, options, [])
+        for mip_level, size in enumerate(sizes):
+            start = time.perf_counter()
+            if mip_level == 0 and options.keep_level_0 and source.name == target.name:
+                level = Level(svbrdf.replace(height=None), status=np.full(size, KEPT, np.uint8))
+            else:
+                kept = mip_level == 0 and options.keep_level_0
+                rules = level_rules(pixel_filter, svbrdf.size, size, mip_level, quality, point=kept)
+                output = _fit_level(base, rules, size, search, kernels, options.threads, mip_level, progress)
+                level = _level(output, size, svbrdf, target, pixel_filter)
+            level.seconds = time.perf_counter() - start
+            pyramid.levels.append(level)
+        failed = sum(int((level.status == FALLBACK).sum()) for level in pyramid.levels if level.status is not None)
+        if failed:
+            pyramid.notes.append(f"The search failed for {failed} texels; they hold their closed-form start.")
+        return pyramid
+
+
+def level_rules(
+    pixel_filter: PixelFilter, base_size: tuple[int, int], size: tuple[int, int], mip_level: int, quality: Quality,
+    point: bool = False,
+) -> tuple[Rule, Rule, Rule]:  # fmt: skip
+    """The three rules of a level. ``point`` takes the base texel itself, unfiltered."""
+    rules = []
+    pixels = max(1.0, 2.0 * pixel_filter.radius)
+    texels = max(base_size[0] / size[0], base_size[1] / size[1])
+    for tier in quality.tiers:
+        if point:
+            one = np.ones(1)
+            chosen = Strata(0.0 * one, 0.0 * one, one, one, 0.0, 0.0, 1.0, 1.0, 0)
+        else:
+            per_texel = max(2, math.ceil(tier.least / texels))
+            chosen = strata(pixel_filter, base_size, size, per_texel, math.ceil(tier.most * pixels), mip_level)
+        rules.append(Rule(chosen, lattice(tier.nodes)))
+    return rules[0], rules[1], rules[2]
+
+
+def _search(options: BakeOptions, quality: Quality, base: Base, source: Model, target: Model) -> Search:
+    """Settings of the search from what the user asked for."""
+    free = FREE_NORMAL if one_of("normal", options.normal, ("free", "mean")) == "free" else 0
+    if one_of("lobe", options.lobe, ("anisotropic", "isotropic")) == "anisotropic" and not target.isotropic:
+        free |= FREE_ANISOTROPY
+    low, default, high = target.shape_bounds or (0.0, 0.0, 0.0)
+    if target.shape_bounds:
+        free |= FREE_SHAPE
+    one_of("density", options.density, tuple(DENSITY_EXPONENTS))
+    sharpest = float(base.perceptual.min()) if base.isotropic else options.min_roughness
+    return Search(
+        free=free,
+        held=one_of("specular", options.specular, ("free", "held")) == "held",
+        exponent=DENSITY_EXPONENTS[options.density],
+        tolerance=quality.tolerance,
+        iterations=quality.iterations,
+        starts=quality.starts,
+        log_low=4.0 * math.log(min(options.min_roughness, sharpest)),
+        log_high=0.0,
+        shape_low=low,
+        shape_high=high,
+        same_model=source.name == target.name,
+        trusted=quality.trusted,
+        coarse=quality.coarse,
+    )
+
+
+def _fit_level(
+    base: Base, rules: tuple[Rule, Rule, Rule], size: tuple[int, int], search: Search, kernels: ModelKernels,
+    threads: int | None, mip_level: int, progress: Progress | None,
+) -> Output:  # fmt: skip
+    """Fit all texels of a level in pieces, on threads (the loop releases the GIL).
+
+    Texels do not know of each other, so the result does not depend on how they are shared out.
+    """
+    texels = size[0] * size[1]
+    output = make_output(texels)
+    piece = max(1, min(_TEXELS_PER_PIECE, math.ceil(texels / _LEAST_PIECES)))
+
+    def work(first: int) -> int:
+        index = np.arange(first, min(first + piece, texels))
+        part = Output(*(array[first : first + piece] for array in output))
+        fit_texels(base, rules, index % size[1], index // size[1], search, part, kernels)
+        return len(index)
+
+    done = 0
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+        waiting: set[Future[int]] = {pool.submit(work, first) for first in range(0, texels, piece)}
+        try:
+            while waiting:
+                finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                done += sum(future.result() for future in finished)
+                if progress is not None:
+                    progress(mip_level, done, texels)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return output
+
+
+def _level(output: Output, size: tuple[int, int], base: Svbrdf, target: Model, pixel_filter: PixelFilter) -> Level:
+    """The filled arrays as a level; occlusion is averaged."""
+
+    def image(array: NDArray) -> NDArray:
+        return array.reshape(*size, *array.shape[1:])
+
+    occlusion = base.occlusion
+    if occlusion is not None:
+        occlusion = filter_channels(occlusion[..., None], size, pixel_filter, base.wrap)[..., 0]
+    svbrdf = Svbrdf(
+        normal=image(output.normal),
+        log_roughness=image(output.log_roughness),
+        specular=image(output.specular),
+        diffuse=image(output.diffuse),
+        model=target.name,
+        wrap=base.wrap,
+        shape=image(output.shape) if target.shape_bounds else None,
+        occlusion=occlusion,
+    )
+    return Level(svbrdf, image(output.status), image(output.residual), image(output.evaluations))
