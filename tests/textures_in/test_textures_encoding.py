@@ -58,6 +58,15 @@ def test_a_jpeg_that_toggles_in_luma_and_chroma_is_flat(tmp_path: Path) -> None:
     assert np.ptp(flat, axis=(0, 1)).max() <= ROUNDING
 
 
+def test_toggles_of_luma_and_chroma_are_flat_for_a_jpeg_only() -> None:
+    luma, blue, red = np.random.default_rng(3).integers(0, 2, (3, 128, 128))
+    codes = np.stack([127 + luma + 1.402 * red, 128 + luma - 0.344 * blue - 0.714 * red], axis=2)
+    xy = decoded(np.rint(codes))
+    flat = subtract_noise_floor(xy, code_noise(8, False, "jpeg"), "tile")
+    assert np.ptp(flat, axis=(0, 1)).max() <= ROUNDING
+    assert subtract_noise_floor(xy, PNG, "tile").std() > 0.1 * PNG.step
+
+
 @pytest.mark.parametrize("codes_rms", [3.0, 10.0, 30.0])
 def test_real_slopes_lose_a_quarter_code_squared(codes_rms: float) -> None:
     codes = np.rint(127.5 + np.random.default_rng(3).normal(0.0, codes_rms, (256, 256, 2)))

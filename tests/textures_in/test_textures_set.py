@@ -412,6 +412,7 @@ def test_name_inputs_and_ignored_files(make_folder) -> None:
     folder = make_folder(
         "rock", a_NormalGL__png=encoded(NORMAL), a_NormalDX__png=encoded(NORMAL, "dx"), odd__png=encoded(NORMAL)
     )
+    write_image(folder / ".a_Color.part.png", encoded(NORMAL))  # what another program is writing is no map
     texture_set = read_texture_set(f"{folder}/")
     assert texture_set.name == "rock"
     assert texture_set.ignored == ["a_NormalDX.png", "odd.png"]
