@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding
+
 _KERNEL_ROOMS = ("models", "halfangle", "fitting")
 
 
@@ -28,8 +30,23 @@ def _cache_folder() -> Path:
     return folder / digest.hexdigest()[:16]
 
 
-# Numba reads the variable at import, so this must come first; the hash goes below whatever folder the user chose.
+def _use_wide_vectors() -> None:
+    """Ask for 512-bit vectors where the processor has them without a clock penalty (Ice Lake and later).
+
+    LLVM prefers 256 bits there by default; our loops over nodes run 20 to 25% faster with 512. The user's own
+    NUMBA_CPU_NAME or NUMBA_CPU_FEATURES win.
+    """
+    if "NUMBA_CPU_NAME" in os.environ or "NUMBA_CPU_FEATURES" in os.environ:
+        return
+    features = llvmlite.binding.get_host_cpu_features()
+    if features.get("avx512vbmi2"):
+        os.environ["NUMBA_CPU_NAME"] = llvmlite.binding.get_host_cpu_name()
+        os.environ["NUMBA_CPU_FEATURES"] = features.flatten() + ",-prefer-256-bit"
+
+
+# Numba reads these variables at import, so they must come first; the hash goes below whatever folder the user chose.
 os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
+_use_wide_vectors()
 
 import numba  # noqa: E402
 from numba import typeof as numba_type  # noqa: E402, F401

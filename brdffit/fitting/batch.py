@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 from brdffit._jit import kernel, numba_type, specialise, types
 from brdffit.fitting.bfgs import WORK
 from brdffit.fitting.status import CONVERGED, FALLBACK, FLAT, REFINED
-from brdffit.fitting.texel import DISAGREEMENT, EVALUATIONS, REPORT, RESIDUAL, TOO_COARSE, Scratch, Search, fit_texel
+from brdffit.fitting.texel import DISAGREEMENT, EVALUATIONS, REPORT, RESIDUAL, TOO_COARSE, Search, Workplace, fit_texel
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
 from brdffit.halfangle.closed_forms import STARTS
+from brdffit.halfangle.quadrature import lattice
 from brdffit.models import Model
 
 
-# A disagreement of this relative squared error (50 dB) is never worth another rule.
-_NEGLIGIBLE = 1e-5
+#: How many rules a texel may go through.
+TIERS = 4
 
 
 class Output(NamedTuple):
@@ -60,43 +61,35 @@ def diffuse_scale(moment, channel, n_x, n_y, n_z, exponent):
 
 @kernel
 def fit_rows(
-    base, strata, points, scratch, strata_1, points_1, scratch_1, strata_2, points_2, scratch_2,
-    columns, rows, search, output,
+    base, rules, columns, rows, search, output,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
 ):  # fmt: skip
     """Fit the texels (columns[i], rows[i]) of a level into row i of the outputs (flattened over texels).
 
-    Three rules, each finer than the one before. A texel goes on to the next where the strata are too coarse for its
-    lobes, or where the two halves of the rule disagree by more than ``search.trusted`` of the residual; one whose
+    Rules go from coarse to fine. A texel moves on where the strata are too coarse for its lobes, or where the two
+    halves of the rule disagree by more than ``search.trusted`` of the residual (up to ``search.last_doubt``); one whose
     search fails, or whose result is not finite, gets its closed-form start.
     """
     moment = np.zeros(9)
     report = np.zeros(REPORT)
     for i in range(columns.size):
-        status = fit_texel(
-            base, strata, points, columns[i], rows[i], search, scratch, moment, report, 0,
-            tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
-        )  # fmt: skip
-        theta, best, colour = scratch.theta, scratch.best, scratch.colour
-        evaluations = report[EVALUATIONS]
-        doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + _NEGLIGIBLE
-        if status == TOO_COARSE or (status != FLAT and doubtful):
+        evaluations = 0.0
+        status = TOO_COARSE
+        tier = 0
+        while True:
             status = fit_texel(
-                base, strata_1, points_1, columns[i], rows[i], search, scratch_1, moment, report, 1,
+                base, rules[tier], columns[i], rows[i], search, tier, tier == len(rules) - 1, moment, report,
                 tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
             )  # fmt: skip
-            theta, best, colour = scratch_1.theta, scratch_1.best, scratch_1.colour
             evaluations += report[EVALUATIONS]
-            doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + _NEGLIGIBLE
-            if status == TOO_COARSE or doubtful:
-                status = fit_texel(
-                    base, strata_2, points_2, columns[i], rows[i], search, scratch_2, moment, report, 2,
-                    tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
-                )  # fmt: skip
-                theta, best, colour = scratch_2.theta, scratch_2.best, scratch_2.colour
-                evaluations += report[EVALUATIONS]
-            if status == CONVERGED:
-                status = REFINED
+            doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + search.negligible
+            if status == TOO_COARSE or (doubtful and tier < search.last_doubt):
+                tier += 1
+            else:
+                break
+        if status == CONVERGED and tier > 0:
+            status = REFINED
+        theta, best, colour = rules[tier].theta, rules[tier].best, rules[tier].colour
         total = 0.0
         for p in range(6):
             total += theta[p]
@@ -190,20 +183,20 @@ def fitting_kernel(float_width: int = 32) -> Any:
 def _example(float_width: int) -> tuple[Any, ...]:
     """Arguments of ``fit_rows`` up to the functions, for their types alone."""
     image, plane, line = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32), np.zeros(1)
-    strata = Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0)
-    rule = Rule(strata, np.zeros((3, 1), np.float32))
+    rule = make_workplace(Rule(Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0), lattice(1)), float_width)
     base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, False, True)
-    search = Search(0, False, 3, 0.0, 0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0)
-    one_rule = (strata, rule.points, make_scratch(rule, float_width))
+    search = Search(0, False, 3, 0.0, 0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0, 0.0, 0)
     indices = np.zeros(1, np.int64)
-    return base, *one_rule, *one_rule, *one_rule, indices, indices, search, make_output(1)
+    return base, (rule,) * TIERS, indices, indices, search, make_output(1)
 
 
-def make_scratch(rule: Rule, float_width: int = 32) -> Scratch:
-    """Scratch arrays for one worker and one rule."""
+def make_workplace(rule: Rule, float_width: int = 32) -> Workplace:
+    """A rule with the scratch arrays of one worker."""
     count, nodes = rule.strata.count, rule.points.shape[1]
     real = np.float32 if float_width == 32 else np.float64
-    return Scratch(
+    return Workplace(
+        strata=rule.strata,
+        points=rule.points,
         lobes=np.zeros((count + 1, quadrature.LOBE_COLUMNS)),
         nodes=np.zeros((quadrature.NODE_ROWS, nodes), real),
         values=np.zeros(nodes, real),
@@ -232,11 +225,9 @@ def make_output(texels: int) -> Output:
 
 
 def fit_texels(
-    base: Base, rules: tuple[Rule, Rule, Rule], columns: NDArray, rows: NDArray, search: Search, output: Output,
+    base: Base, rules: tuple[Rule, ...], columns: NDArray, rows: NDArray, search: Search, output: Output,
     kernels: ModelKernels, float_width: int = 32,
 ) -> None:  # fmt: skip
-    """Fit texels (columns[i], rows[i]) into ``output``; releases the GIL."""
-    arguments: list[Any] = []
-    for rule in rules:
-        arguments += [rule.strata, rule.points, make_scratch(rule, float_width)]
-    fitting_kernel(float_width)(base, *arguments, columns, rows, search, output, *kernels)
+    """Fit texels (columns[i], rows[i]) into ``output`` by TIERS rules, from coarse to fine; releases the GIL."""
+    places = tuple(make_workplace(rule, float_width) for rule in rules)
+    fitting_kernel(float_width)(base, places, columns, rows, search, output, *kernels)

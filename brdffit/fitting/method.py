@@ -76,8 +76,8 @@ class NonlinearFit:
 def level_rules(
     pixel_filter: PixelFilter, base_size: tuple[int, int], size: tuple[int, int], mip_level: int, quality: Quality,
     point: bool = False,
-) -> tuple[Rule, Rule, Rule]:  # fmt: skip
-    """The three rules of a level. ``point`` takes the base texel itself, unfiltered."""
+) -> tuple[Rule, ...]:  # fmt: skip
+    """The rules of a level, from coarse to fine. ``point`` takes the base texel itself, unfiltered."""
     rules = []
     pixels = max(1.0, 2.0 * pixel_filter.radius)
     texels = max(base_size[0] / size[0], base_size[1] / size[1])
@@ -89,7 +89,7 @@ def level_rules(
             per_texel = max(2, math.ceil(tier.least / texels))
             chosen = strata(pixel_filter, base_size, size, per_texel, math.ceil(tier.most * pixels), mip_level)
         rules.append(Rule(chosen, lattice(tier.nodes)))
-    return rules[0], rules[1], rules[2]
+    return tuple(rules)
 
 
 def _search(options: BakeOptions, quality: Quality, base: Base, source: Model, target: Model) -> Search:
@@ -116,11 +116,13 @@ def _search(options: BakeOptions, quality: Quality, base: Base, source: Model, t
         same_model=source.name == target.name,
         trusted=quality.trusted,
         coarse=quality.coarse,
+        negligible=quality.negligible,
+        last_doubt=quality.last_doubt,
     )
 
 
 def _fit_level(
-    base: Base, rules: tuple[Rule, Rule, Rule], size: tuple[int, int], search: Search, kernels: ModelKernels,
+    base: Base, rules: tuple[Rule, ...], size: tuple[int, int], search: Search, kernels: ModelKernels,
     threads: int | None, mip_level: int, progress: Progress | None,
 ) -> Output:  # fmt: skip
     """Fit all texels of a level in pieces, on threads (the loop releases the GIL).

@@ -14,7 +14,7 @@ from brdffit.fitting.status import (
     FLAT,
     NO_SPECULAR,
 )
-from brdffit.halfangle.apparent_lobe import add_defensive_lobe, gather_lobes, normalise_mixture, normalise_shapes
+from brdffit.halfangle.apparent_lobe import Strata, add_defensive_lobe, gather_lobes, normalise_mixture, normalise_shapes
 from brdffit.halfangle.closed_forms import (
     DEFENSIVE_SHARE,
     LEAN,
@@ -53,7 +53,6 @@ REPORT = 7
 
 #: What ``fit_texel`` returns when the rule's strata are too coarse for the footprint; never a texel's final status.
 TOO_COARSE = 255
-LAST_TIER = 2
 
 
 class Search(NamedTuple):
@@ -63,7 +62,8 @@ class Search(NamedTuple):
     model still promises to remove when it stops; ``starts``: how many are followed to the end; bounds of the log
     eigenvalues and of the shape; ``same_model``: base and pyramid share a lobe model; ``trusted``: largest
     disagreement of two half rules, as a share of the residual, that is not refined; ``coarse``: largest share of the
-    energy in samples further than a lobe's width from the next.
+    energy in samples further than a lobe's width from the next; ``negligible``: disagreement (relative squared error)
+    that is never refined; ``last_doubt``: last rule that a disagreement can lead to.
     """
 
     free: int
@@ -79,11 +79,15 @@ class Search(NamedTuple):
     same_model: bool
     trusted: float
     coarse: float
+    negligible: float
+    last_doubt: int
 
 
-class Scratch(NamedTuple):
-    """Arrays that a worker allocates once."""
+class Workplace(NamedTuple):
+    """A rule, and the arrays that a worker allocates for it once."""
 
+    strata: Strata
+    points: np.ndarray
     lobes: np.ndarray
     nodes: np.ndarray
     values: np.ndarray
@@ -168,16 +172,16 @@ def settle_scale(theta, nodes, setting, values_kernel, log_normalisation, values
 
 @kernel
 def fit_texel(
-    base, strata, points, column, row, search, scratch, diffuse_moment, report, tier,
+    base, scratch, column, row, search, tier, last, diffuse_moment, report,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
 ):  # fmt: skip
     """Fit one texel with one rule. The answer is left in ``scratch.theta``, the rest in ``report``; returns a status.
 
-    Returns TOO_COARSE at once where the strata are too wide for the lobes, unless ``tier`` is the LAST_TIER.
+    Returns TOO_COARSE at once where the strata are too wide for the lobes, unless this is the ``last`` rule.
     ``scratch.best`` (6,) receives the closed-form start, to fall back on.
     """
     lobes, theta, work, setting = scratch.lobes, scratch.theta, scratch.work, scratch.setting
-    nodes = scratch.nodes
+    nodes, strata, points = scratch.nodes, scratch.strata, scratch.points
     count = gather_lobes(base, strata, column, row, lobes, diffuse_moment)
     red, green, blue, some = normalise_mixture(lobes, count)
     isotropic = search.free & 2 == 0
@@ -191,7 +195,7 @@ def fit_texel(
             scratch.best[p] = theta[p]
         clamp_to_domain(theta, search)
         return FLAT if some else NO_SPECULAR
-    if tier < LAST_TIER and coarse_share(lobes, count, base.isotropic, strata.x.size) > search.coarse:
+    if not last and coarse_share(lobes, count, base.isotropic, strata.x.size) > search.coarse:
         return TOO_COARSE
     clamp_to_domain(scratch.starts[LEAN], search)
     start = scratch.starts[LEAN]

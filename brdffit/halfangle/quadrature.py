@@ -80,16 +80,18 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
         reached += lobes[i, MIXTURE]
         if first == size or (choice[first] >= reached and i < count):
             continue
-        n_x, n_y, n_z = lobes[i, 0], lobes[i, 1], lobes[i, 2]
         if isotropic and i < count:
             e1 = e2 = math.sqrt(lobes[i, ALPHA_SQUARED])
-            frame[0], frame[1], frame[2], frame[3], frame[4], frame[5] = tangent_frame(n_x, n_y, n_z)
+            frame[0], frame[1], frame[2], frame[3], frame[4], frame[5] = tangent_frame(
+                lobes[i, 0], lobes[i, 1], lobes[i, 2]
+            )
         else:
-            l1, l2, _, _ = lobe_frame(n_x, n_y, n_z, lobes[i, 3], lobes[i, 4], lobes[i, 5], frame)
+            l1, l2, _, _ = lobe_frame(lobes[i, 0], lobes[i, 1], lobes[i, 2], lobes[i, 3], lobes[i, 4], lobes[i, 5], frame)
             # Rows of the frame are scaled by exp(-l/2); the slopes' axes want exp(+l/2).
             e1, e2 = math.exp(l1), math.exp(l2)
-        u_x, u_y, u_z = e1 * frame[0], e1 * frame[1], e1 * frame[2]
-        v_x, v_y, v_z = e2 * frame[3], e2 * frame[4], e2 * frame[5]
+        u_x, u_y, u_z = real(e1 * frame[0]), real(e1 * frame[1]), real(e1 * frame[2])
+        v_x, v_y, v_z = real(e2 * frame[3]), real(e2 * frame[4]), real(e2 * frame[5])
+        n_x, n_y, n_z = real(lobes[i, 0]), real(lobes[i, 1]), real(lobes[i, 2])
         while first < size and (choice[first] < reached or i == count):
             h_x[first] = along[first] * u_x + across[first] * v_x + n_x
             h_y[first] = along[first] * u_y + across[first] * v_y + n_y
