@@ -1,20 +1,66 @@
-# Every target sets up what it needs; `make bake` and `make test` work on a fresh clone.
+# Every target sets up what it needs: `make bake` and `make test` work on a fresh clone.
 PYTHON ?= python3
-VENV := .venv
-BIN := $(VENV)/bin
 SET ?= data/sets/hammered-metal
 OUT ?= out
 OPTIONS ?=
+VENV := .venv
+BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: install data bake test test-all bench lint clean
+.PHONY: help install data bake picture test test-slow bench bench-full lint clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make bake [SET=folder] [OUT=out] [OPTIONS=...]  bake a texture set and show the picture"
+	@echo "make data        make the shipped texture sets in data/sets"
+	@echo "make test        the tests; make test-slow runs those that take long"
+	@echo "make bench       speed and accuracy, the short way; make bench-full takes its time"
+	@echo "make lint        ruff and mypy"
+	@echo "make picture     draw docs/preview.png, the picture of the README, anew"
+	@echo "make install     the environment in $(VENV), with the command $(BIN)/brdffit"
+	@echo "make clean       remove the environment and all that was made"
 
 install: $(VENV)/installed
 
+# Its age is that of what it was made from: a changed list of dependencies installs again.
 $(VENV)/installed: setup.cfg pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "brdffit needs Python 3.11 or later: make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	touch $@
 
+data: data/sets/made
+
+data/sets/made: $(wildcard data/*.toml) brdffit/textures/procedural.py brdffit/textures/generators.py | $(VENV)/installed
+	$(BIN)/python -m brdffit.textures.procedural data/sets
+	touch $@
+
+# A set of the user's own needs none of ours.
+bake: install $(if $(filter data/sets/%,$(SET)),data/sets/made)
+	$(BIN)/brdffit bake "$(SET)" -o "$(OUT)" --show $(OPTIONS)
+
+picture: data/sets/made
+	$(BIN)/brdffit bake data/sets/hammered-metal -o out/picture
+	mkdir -p docs
+	cp out/picture/hammered-metal/preview.png docs/preview.png
+
+# pytest itself fails when no test ran.
+test: install
+	$(BIN)/python -m pytest
+
+test-slow: install
+	$(BIN)/python -m pytest -m slow
+
+bench: install
+	$(BIN)/python -m benchmarks --quick -o bench
+
+bench-full: install
+	$(BIN)/python -m benchmarks -o bench
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
 clean:
-	rm -rf $(VENV) build *.egg-info data/sets out bench
+	rm -rf $(VENV) build *.egg-info data/sets out bench .pytest_cache .hypothesis .mypy_cache .ruff_cache

@@ -20,7 +20,9 @@ from brdffit.errors import BrdffitError, InputError, OutputError, UnknownNameErr
 from brdffit.textures.generators import GENERATORS, unit_range
 from brdffit.textures.image_io import write_png
 
-RECIPES = Path(__file__).resolve().parents[2] / "data"
+_CHECKOUT = Path(__file__).resolve().parents[2] / "data"
+#: Folder of the recipes: in a checkout, or where an installation puts them.
+RECIPES = _CHECKOUT if (_CHECKOUT / "hammered-metal.toml").is_file() else Path(sys.prefix, "share", "brdffit")
 #: Names of the shipped sets.
 SETS = ("brushed-metal", "bumpy-mirror", "glossy-tiles", "grooved-record", "hammered-metal")
 
