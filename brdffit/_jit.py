@@ -52,7 +52,7 @@ import numba  # noqa: E402
 from numba import typeof as numba_type  # noqa: E402, F401
 from numba import types  # noqa: E402, F401  (kernel files take their type names from here)
 
-numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]  # type: ignore[attr-defined]  # set at run time
 
 #: Reassociation and contraction give the full speed; nnan and ninf stay out, so that isfinite keeps its meaning.
 _FASTMATH = {"reassoc", "contract", "nsz", "arcp"}

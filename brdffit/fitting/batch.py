@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,14 +12,23 @@ from numpy.typing import NDArray
 
 from brdffit._jit import kernel, numba_type, specialise, types
 from brdffit.fitting.bfgs import WORK
-from brdffit.fitting.status import CONVERGED, FALLBACK, FLAT, REFINED
-from brdffit.fitting.texel import DISAGREEMENT, EVALUATIONS, REPORT, RESIDUAL, TOO_COARSE, Search, Workplace, fit_texel
+from brdffit.fitting.status import CONVERGED, FALLBACK, REFINED
+from brdffit.fitting.texel import (
+    DISAGREEMENT,
+    EVALUATIONS,
+    FILTERED,
+    REPORT,
+    RESIDUAL,
+    TOO_COARSE,
+    Search,
+    Workplace,
+    fit_texel,
+)
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
 from brdffit.halfangle.closed_forms import STARTS
 from brdffit.halfangle.quadrature import lattice
 from brdffit.models import Model
-
 
 #: How many rules a texel may go through.
 TIERS = 4
@@ -89,7 +98,7 @@ def fit_rows(
                 break
         if status == CONVERGED and tier > 0:
             status = REFINED
-        theta, best, colour = rules[tier].theta, rules[tier].best, rules[tier].colour
+        theta, best = rules[tier].theta, rules[tier].best
         total = 0.0
         for p in range(6):
             total += theta[p]
@@ -99,7 +108,7 @@ def fit_rows(
             for p in range(6):
                 theta[p] = best[p]
             for k in range(3):
-                report[k] = colour[k]
+                report[k] = report[FILTERED + k]
         inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
         n_x, n_y, n_z = -theta[0] * inverse, -theta[1] * inverse, inverse
         output.normal[i, 0], output.normal[i, 1], output.normal[i, 2] = n_x, n_y, n_z
@@ -124,7 +133,7 @@ class ModelKernels(NamedTuple):
     source_log_normalisation: Any
 
 
-@lru_cache(maxsize=None)
+@cache
 def model_kernels(source: str, target: str, float_width: int = 32) -> ModelKernels:
     """Specialise the loops for a source and a target model, in float32 or float64 sums."""
     from brdffit.models import get_model
@@ -158,7 +167,7 @@ def _suffix(model: Model, float_width: int) -> str:
     return f"_{model.name.replace('-', '_')}_{float_width}"
 
 
-@lru_cache(maxsize=None)
+@cache
 def fitting_kernel(float_width: int = 32) -> Any:
     """``fit_rows`` for float32 or float64 sums.
 
@@ -192,7 +201,7 @@ def _example(float_width: int) -> tuple[Any, ...]:
 
 def make_workplace(rule: Rule, float_width: int = 32) -> Workplace:
     """A rule with the scratch arrays of one worker."""
-    count, nodes = rule.strata.count, rule.points.shape[1]
+    count, nodes = rule.strata.samples, rule.points.shape[1]
     real = np.float32 if float_width == 32 else np.float64
     return Workplace(
         strata=rule.strata,

@@ -51,6 +51,8 @@ class NonlinearFit:
         pixel_filter, quality = get_pixel_filter(options.pixel_filter), get_quality(options.quality)
         if not svbrdf.is_finite():
             raise InputError("The SVBRDF holds numbers that are not finite; every texel must be a finite number.")
+        # Compiled before the threads start: two at once would both try.
+        self.prepare(target.name, source.name)
         kernels = model_kernels(source.name, target.name)
         base = base_of(svbrdf, source.default_shape)
         search = _search(options, quality, base, source, target)

@@ -14,7 +14,13 @@ from brdffit.fitting.status import (
     FLAT,
     NO_SPECULAR,
 )
-from brdffit.halfangle.apparent_lobe import Strata, add_defensive_lobe, gather_lobes, normalise_mixture, normalise_shapes
+from brdffit.halfangle.apparent_lobe import (
+    Strata,
+    add_defensive_lobe,
+    gather_lobes,
+    normalise_mixture,
+    normalise_shapes,
+)
 from brdffit.halfangle.closed_forms import (
     DEFENSIVE_SHARE,
     LEAN,
@@ -24,6 +30,7 @@ from brdffit.halfangle.closed_forms import (
     VMF,
     closed_forms,
     coarse_share,
+    widen_lobes,
 )
 from brdffit.halfangle.frame import eigen_log
 from brdffit.halfangle.objective import (
@@ -48,8 +55,12 @@ from brdffit.halfangle.quadrature import (
 real = np.float32
 
 # What a fit reports of itself, besides its parameters.
-RED_SCALE, GREEN_SCALE, BLUE_SCALE, RESIDUAL, DISAGREEMENT, EVALUATIONS, TARGET_NORM = range(7)
-REPORT = 7
+RED_SCALE, GREEN_SCALE, BLUE_SCALE, RESIDUAL, DISAGREEMENT, EVALUATIONS, TARGET_NORM, FILTERED = range(8)
+# The filtered colour, (red, green, blue) from FILTERED on; 0 where a negative filter weight makes it negative.
+REPORT = FILTERED + 3
+
+# A mean squared step between samples below this (in units of the lobe's width) would widen lobes by less than 1%.
+_NARROW_STEP = 0.03
 
 #: What ``fit_texel`` returns when the rule's strata are too coarse for the footprint; never a texel's final status.
 TOO_COARSE = 255
@@ -185,9 +196,12 @@ def fit_texel(
     count = gather_lobes(base, strata, column, row, lobes, diffuse_moment)
     red, green, blue, some = normalise_mixture(lobes, count)
     isotropic = search.free & 2 == 0
-    flat = closed_forms(lobes, count, base.isotropic, scratch.starts, isotropic)
+    isotropic_base = base.isotropic
+    flat = closed_forms(lobes, count, isotropic_base, scratch.starts, isotropic)
     report[EVALUATIONS] = 0.0
-    report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+    report[FILTERED], report[FILTERED + 1], report[FILTERED + 2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+    for k in range(3):
+        report[RED_SCALE + k] = report[FILTERED + k]
     report[RESIDUAL], report[DISAGREEMENT] = 0.0, 0.0
     if flat and search.same_model:
         for p in range(PARAMETERS):
@@ -195,19 +209,25 @@ def fit_texel(
             scratch.best[p] = theta[p]
         clamp_to_domain(theta, search)
         return FLAT if some else NO_SPECULAR
-    if not last and coarse_share(lobes, count, base.isotropic, strata.x.size) > search.coarse:
-        return TOO_COARSE
+    if strata.jitter_x == 0.0 and strata.jitter_y == 0.0:
+        share, mean_step = coarse_share(lobes, count, isotropic_base, strata.x.size)
+        if not last and share > search.coarse:
+            return TOO_COARSE
+        if mean_step > _NARROW_STEP:
+            widen_lobes(lobes, count, isotropic_base, strata.x.size)
+            isotropic_base = False
+            closed_forms(lobes, count, isotropic_base, scratch.starts, isotropic)
     clamp_to_domain(scratch.starts[LEAN], search)
     start = scratch.starts[LEAN]
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
-    place_nodes(lobes, count, base.isotropic, points, search.exponent, nodes, work)
+    place_nodes(lobes, count, isotropic_base, points, search.exponent, nodes, work)
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
-    tabulate_kernel(lobes, count, base.isotropic, base.grey, nodes, work)
+    tabulate_kernel(lobes, count, isotropic_base, base.grey, nodes, work)
     weigh_nodes(nodes)
     norm = target_norm(nodes)
     report[TARGET_NORM] = norm
     colour = scratch.colour
-    colour[0], colour[1], colour[2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+    colour[0], colour[1], colour[2] = report[FILTERED], report[FILTERED + 1], report[FILTERED + 2]
     if not (some and colour[0] + colour[1] + colour[2] > 0.0):
         colour[0] = colour[1] = colour[2] = 1.0
     setting[HELD] = 1.0 if search.held else 0.0
@@ -223,7 +243,6 @@ def fit_texel(
     # A refined texel has separated peaks more often than not: the highest of them is worth a search of its own.
     follow = min(search.starts + (1 if tier > 0 else 0), STARTS)
     status, value = search_from_starts(scratch, search, follow, moments_kernel, log_normalisation, report)
-    report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = colour[0], colour[1], colour[2]
     clamp_to_domain(theta, search)
     settle_scale(theta, nodes, setting, values_kernel, log_normalisation, scratch.values, work, report)
     if not search.held:
@@ -242,7 +261,11 @@ def fit_texel(
             report[EVALUATIONS] += evaluations + 1
             clamp_to_domain(theta, search)
             settle_scale(theta, nodes, setting, values_kernel, log_normalisation, scratch.values, work, report)
+    if not some:
+        # Fitted as if white; it reflects nothing all the same.
+        report[RED_SCALE] = report[GREEN_SCALE] = report[BLUE_SCALE] = 0.0
     if not math.isfinite(report[RESIDUAL]):
+        report[RESIDUAL] = 1.0
         return FALLBACK
     return status if some else NO_SPECULAR
 

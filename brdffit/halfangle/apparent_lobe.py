@@ -57,8 +57,8 @@ class Strata(NamedTuple):
     seed: int
 
     @property
-    def count(self) -> int:
-        """Samples of one footprint."""
+    def samples(self) -> int:
+        """How many samples one footprint takes."""
         return len(self.x) * len(self.y)
 
 
@@ -79,7 +79,7 @@ def base_of(svbrdf: Svbrdf, default_shape: float = 0.0) -> Base:
         shape=none if svbrdf.shape is None else _plain(svbrdf.shape),
         default_shape=default_shape,
         isotropic=isotropic,
-        grey=bool(np.array_equal(specular[..., 0], specular[..., 1]) and np.array_equal(specular[..., 1], specular[..., 2])),
+        grey=all(np.array_equal(specular[..., 0], specular[..., k]) for k in (1, 2)),
         has_diffuse=bool(np.any(svbrdf.diffuse)),
         has_shape=svbrdf.shape is not None,
         tile=svbrdf.wrap == "tile",
@@ -137,8 +137,8 @@ def _index(i, size, tile):
 def gather_lobes(base, strata, column, row, lobes, diffuse_moment):
     """Fill ``lobes`` with the footprint of texel (column, row) and return how many there are.
 
-    SPECULAR columns hold filter weight times colour, MIXTURE the filter weight alone (they sum to 1). ``diffuse_moment``
-    (9,) receives sum_i w_i d_ic n_i as (channel, axis).
+    SPECULAR columns hold filter weight times colour, MIXTURE the filter weight alone (they sum to 1).
+    ``diffuse_moment`` (9,) receives sum_i w_i d_ic n_i as (channel, axis).
     """
     height, width = base.normal.shape[0], base.normal.shape[1]
     centre_x = (column + 0.5) * strata.scale_x - 0.5

@@ -87,46 +87,80 @@ def closed_forms(lobes, count, isotropic_base, starts, isotropic):
     shrink = min(1.0, 2.0 / (sharp * (xx + yy)))
     for row in range(STARTS):
         starts[row, 0], starts[row, 1], starts[row, 5] = m_x, m_y, shape
-    set_log_tensor(starts, LEAN, xx + 2.0 * uu, yy + 2.0 * vv, xy + 2.0 * uv, isotropic)
+    set_log_tensor(starts, LEAN, 2, xx + 2.0 * uu, yy + 2.0 * vv, xy + 2.0 * uv, isotropic)
     kappa = length * (3.0 - length * length) / max(1.0 - length * length, 1e-9)
     spread = 2.0 / max(kappa, 1e-3)
-    set_log_tensor(starts, VMF, xx + spread, yy + spread, xy, isotropic)
+    set_log_tensor(starts, VMF, 2, xx + spread, yy + spread, xy, isotropic)
     for k in range(len(_NARROWER_SHARES)):
         share = 2.0 * _NARROWER_SHARES[k]
         set_log_tensor(
-            starts, NARROWER + k, shrink * xx + share * uu, shrink * yy + share * vv, shrink * xy + share * uv, isotropic
-        )
+            starts, NARROWER + k, 2, shrink * xx + share * uu, shrink * yy + share * vv, shrink * xy + share * uv,
+            isotropic,
+        )  # fmt: skip
     for p in range(2, PARAMETERS):
         starts[PEAK, p] = starts[STARTS - 1, p]
-    even = widest < (1.0 + _FLAT_SHARE) * 2.0 * narrowest if isotropic_base else False
-    return even and farthest < _FLAT_SHARE * _FLAT_SHARE * narrowest
+    alike = widest < (1.0 + _FLAT_SHARE) * 2.0 * narrowest and farthest < _FLAT_SHARE * _FLAT_SHARE * narrowest
+    return isotropic_base and alike
 
 
 @inline
-def set_log_tensor(starts, row, xx, yy, xy, isotropic):
-    """Write the matrix logarithm of a tensor into starts[row, 2:5]; isotropic keeps the determinant."""
+def set_log_tensor(table, row, column, xx, yy, xy, isotropic):
+    """Write the matrix logarithm of a tensor into table[row, column:column+3]; isotropic keeps the determinant."""
     l1, l2, cos, sin = eigen_log(xx, yy, xy)
     l1, l2 = math.log(max(l1, 1e-12)), math.log(max(l2, 1e-12))
     if isotropic:
         l1 = l2 = 0.5 * (l1 + l2)
-    starts[row, 2] = l1 * cos * cos + l2 * sin * sin
-    starts[row, 3] = l1 * sin * sin + l2 * cos * cos
-    starts[row, 4] = (l1 - l2) * cos * sin
+    table[row, column] = l1 * cos * cos + l2 * sin * sin
+    table[row, column + 1] = l1 * sin * sin + l2 * cos * cos
+    table[row, column + 2] = (l1 - l2) * cos * sin
 
 
 @kernel
 def coarse_share(lobes, count, isotropic, row_length):
-    """Share of the reflected energy in samples from which the next sample of the row or column is a lobe's width away.
+    """How coarsely the samples stand: (share of the reflected energy in samples from which the next one of the row or
+    column is a lobe's width away; mean squared step in units of the lobe's width, each counted as 1 at most).
 
-    Those are places where point samples of a smooth streak of normals would turn it into separate needles.
+    Where the share is large, point samples would turn a smooth streak of normals into separate needles.
     """
-    share = 0.0
+    share, mean = 0.0, 0.0
     for i in range(count):
         _, _, _, width = tensor_of(lobes, i, isotropic)
+        step = 0.0
         for k in (i + 1, i + row_length):
             if k < count and (k != i + 1 or k % row_length != 0):
                 d_x, d_y, d_z = lobes[k, 0] - lobes[i, 0], lobes[k, 1] - lobes[i, 1], lobes[k, 2] - lobes[i, 2]
-                if d_x * d_x + d_y * d_y + d_z * d_z > width:
-                    share += lobes[i, MIXTURE]
-                    break
-    return share
+                step = max(step, d_x * d_x + d_y * d_y + d_z * d_z)
+        mean += lobes[i, MIXTURE] * min(step / width, 1.0)
+        if step > width:
+            share += lobes[i, MIXTURE]
+    return share, mean
+
+
+@kernel
+def widen_lobes(lobes, count, isotropic, row_length):
+    """Give each sample the spread of normals inside its own stratum, which a point sample leaves out.
+
+    Across a stratum of a smooth normal field the slopes are spread evenly over a parallelogram with edges g_x and g_y,
+    so their covariance is (g_x g_x' + g_y g_y') / 12 and, to second order, the lobe's tensor grows by twice that (the
+    rule of LEAN, within one stratum). Half of the distance to the two neighbours' samples stands for each edge.
+    Tensors become full ones: the lobes are no longer isotropic.
+    """
+    rows = count // row_length
+    for i in range(count):
+        column, row = i % row_length, i // row_length
+        t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(lobes[i, 0], lobes[i, 1], lobes[i, 2])
+        xx, yy, xy, _ = tensor_of(lobes, i, isotropic)
+        for axis in range(2):
+            stride, at, size = (1, column, row_length) if axis == 0 else (row_length, row, rows)
+            low = i - stride if at > 0 else i
+            high = i + stride if at < size - 1 else i
+            if low == high:
+                continue
+            scale = stride / (high - low)
+            d_x, d_y = scale * (lobes[high, 0] - lobes[low, 0]), scale * (lobes[high, 1] - lobes[low, 1])
+            d_z = scale * (lobes[high, 2] - lobes[low, 2])
+            u, v = t_x * d_x + t_y * d_y + t_z * d_z, b_x * d_x + b_y * d_y + b_z * d_z
+            xx += u * u / 6.0
+            yy += v * v / 6.0
+            xy += u * v / 6.0
+        set_log_tensor(lobes, i, LOG_TENSOR, xx, yy, xy, False)

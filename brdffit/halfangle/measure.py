@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 
 from brdffit._jit import kernel
 from brdffit.footprint import get_pixel_filter
-from brdffit.halfangle.apparent_lobe import Base, Strata, add_defensive_lobe, gather_lobes, normalise_mixture, normalise_shapes, strata
+from brdffit.halfangle.apparent_lobe import (
+    Base,
+    Strata,
+    add_defensive_lobe,
+    gather_lobes,
+    normalise_mixture,
+    normalise_shapes,
+    strata,
+)
 from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, LEAN, STARTS, closed_forms
 from brdffit.halfangle.objective import PARAMETERS
 from brdffit.halfangle.quadrature import (
@@ -67,10 +75,13 @@ def dense_strata(
 @kernel
 def target_table(base, strata, points, column, row, exponent, lobes, nodes, work, tabulate_kernel,
                  source_log_normalisation):  # fmt: skip
-    """Nodes, table and weights of one footprint; returns (mean colour r, g, b, <T,T>)."""
+    """Nodes, table and weights of one footprint; returns (mean colour r, g, b, <T,T>).
+
+    Where nothing is reflected T is 0, and <T,T> that of the same lobes in white: errors stay relative to something.
+    """
     moment, starts = work[9:18], work[18 : 18 + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS)
     count = gather_lobes(base, strata, column, row, lobes, moment)
-    red, green, blue, _ = normalise_mixture(lobes, count)
+    red, green, blue, some = normalise_mixture(lobes, count)
     closed_forms(lobes, count, base.isotropic, starts, False)
     add_defensive_lobe(
         lobes, count, DEFENSIVE_SHARE, starts[LEAN, 0], starts[LEAN, 1], min(starts[LEAN, 2], 0.0),
@@ -83,6 +94,8 @@ def target_table(base, strata, points, column, row, exponent, lobes, nodes, work
     norm = 0.0
     for j in range(nodes.shape[1]):
         norm += nodes[WEIGHT, j] * (nodes[RED, j] ** 2 + nodes[GREEN, j] ** 2 + nodes[BLUE, j] ** 2)
+    if not some:
+        nodes[RED : BLUE + 1] = 0.0
     return red, green, blue, norm
 
 

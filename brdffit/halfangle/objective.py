@@ -160,7 +160,7 @@ def frame_rotation(m_x, m_y, rotation):
     return n_x, n_y, n_z
 
 
-# What an evaluation is told besides theta: [held (0 or 1), |rho|^2 / TT or 1 / TT, log eigenvalue low, high, s low, s high]
+# What an evaluation is told besides theta: held (0 or 1), |rho|^2 / TT or 1 / TT, bounds of log eigenvalues and of s.
 HELD, SCALE, LOG_LOW, LOG_HIGH, SHAPE_LOW, SHAPE_HIGH = range(6)
 
 # Weight of the walls at the edge of the domain, in units of relative squared error per squared log alpha^2: a step of
@@ -207,8 +207,8 @@ def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient,
     for k in range(PARAMETERS):
         gradient[k] = by_td * gradient[k] + by_dd * other[k]
     for i in range(2):
-        l = l1 if i == 0 else l2
-        outside = max(l - setting[LOG_HIGH], 0.0) - max(setting[LOG_LOW] - l, 0.0)
+        log_eigenvalue = l1 if i == 0 else l2
+        outside = max(log_eigenvalue - setting[LOG_HIGH], 0.0) - max(setting[LOG_LOW] - log_eigenvalue, 0.0)
         value += WALL * outside * outside
         slope = 2.0 * WALL * outside
         along, across = (cos, sin) if i == 0 else (-sin, cos)

@@ -14,8 +14,8 @@ by a three-dimensional low-discrepancy point set (which lobe; radius and angle i
 density of the *whole* mixture, W_j = w(h_j) / (N p(h_j)): the balance heuristic of multiple importance sampling (Veach
 and Guibas 1995). A node of a wide lobe that falls on a narrow peak counts there only as one of the many that the narrow
 lobe sends, so wide and sharp lobes in one footprint do not spoil each other. The GGX shape is kept for every model: its
-tails are the longest, so w / p stays bounded. And one more lobe takes part that is no base lobe: the closed-form start of
-the fit, with a share of the nodes. It covers what the fitted lobe covers and the target may leave empty, where a few
+tails are the longest, so w / p stays bounded. And one more lobe takes part that is no base lobe: the closed-form start
+of the fit, with a share of the nodes. It covers what the fitted lobe covers and the target may leave empty, where a few
 nodes of enormous weight would otherwise decide (a defensive mixture, Hesterberg 1995).
 
 Sampling D (n.h) of a GGX lobe: slopes s = Sigma^(1/2) r (cos f, sin f) with r^2 = u / (1 - u), u and f uniform.
@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from brdffit._jit import inline, kernel, types
 from brdffit.halfangle.density import half_angle_density
 from brdffit.halfangle.frame import lobe_frame, tangent_frame
-from brdffit.models.ggx import profile as ggx_profile
 from brdffit.models.ggx import profile  # bound anew for other source models
+from brdffit.models.ggx import profile as ggx_profile
 
 real = np.float32
 
@@ -86,7 +86,9 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
                 lobes[i, 0], lobes[i, 1], lobes[i, 2]
             )
         else:
-            l1, l2, _, _ = lobe_frame(lobes[i, 0], lobes[i, 1], lobes[i, 2], lobes[i, 3], lobes[i, 4], lobes[i, 5], frame)
+            l1, l2, _, _ = lobe_frame(
+                lobes[i, 0], lobes[i, 1], lobes[i, 2], lobes[i, 3], lobes[i, 4], lobes[i, 5], frame
+            )
             # Rows of the frame are scaled by exp(-l/2); the slopes' axes want exp(+l/2).
             e1, e2 = math.exp(l1), math.exp(l2)
         u_x, u_y, u_z = real(e1 * frame[0]), real(e1 * frame[1]), real(e1 * frame[2])

@@ -35,7 +35,8 @@ def log_quotient(C):
     safe = real(0.5) if near else v
     quotient = log_positive(real(1.0) - safe) / safe
     slope = (real(1.0) / (real(1.0) - safe) + quotient) / safe
-    series = real(-1.0) - v * (real(1 / 2) + v * (real(1 / 3) + v * (real(1 / 4) + v * (real(1 / 5) + v * real(1 / 6)))))
+    series = real(1 / 2) + v * (real(1 / 3) + v * (real(1 / 4) + v * (real(1 / 5) + v * real(1 / 6))))
+    series = real(-1.0) - v * series
     series_slope = real(1 / 2) + v * (real(2 / 3) + v * (real(3 / 4) + v * (real(4 / 5) + v * real(5 / 6))))
     return (series if near else quotient), (series_slope if near else slope)
 
