@@ -115,20 +115,23 @@ def _choice(*names: str) -> dict[str, Any]:
 @click.option("--density", **_choice("cosine", "uniform"), show_default="cosine", help="Of lights and viewers.")
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", help="Of the pictures.")
 @click.option("--no-preview", is_flag=True, help="Do not draw preview.png.")
+@click.option("--show", is_flag=True, help="Open preview.png when done; without a screen, draw it in the terminal.")
 @click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
 @_reading_options
-def bake(source: str, output: Path, bits: str, no_preview: bool, **options: Any) -> None:
+def bake(source: str, output: Path, bits: str, no_preview: bool, show: bool, **options: Any) -> None:
     """Bake the MIP pyramid of SET.
 
     SET is a folder of textures, or a .gltf, .glb or .mtlx file.
     """
     from brdffit.baking import bake_to_folder
-    from brdffit.console import BakeDisplay, print_report
+    from brdffit.console import BakeDisplay, print_report, show_picture
 
     given = {name: value for name, value in options.items() if value not in (None, False, "auto")}
     with BakeDisplay() as display:
         report = bake_to_folder(source, output, bits=int(bits), preview=not no_preview, progress=display, **given)
     print_report(report)
+    if show and not no_preview:
+        show_picture(report.folder / "preview.png")
 
 
 @main.command()

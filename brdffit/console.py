@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
+from rich.color import Color
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn
+from rich.segment import Segment, Segments
+from rich.style import Style
 from rich.table import Table
 
 from brdffit.fitting.status import FALLBACK
+from brdffit.textures.image_io import read_image
 
 if TYPE_CHECKING:
     from brdffit.baking import BakeReport
@@ -25,6 +36,8 @@ _PHASES = {
 
 #: Columns where no terminal sets them: file names stay whole.
 _PIPED_WIDTH = 200
+#: Columns of a picture in the terminal.
+_MOST_COLUMNS = 100
 
 
 class BakeDisplay:
@@ -117,6 +130,35 @@ def print_inspection(inspection: Inspection) -> None:
         if sentences:
             console.print(title)
             _print_list(console, sentences)
+
+
+def show_picture(path: Path) -> None:
+    """Open a picture on the screen; without one, draw it in the terminal; into a pipe or a file, do nothing."""
+    console = _console()
+    if not console.is_terminal:
+        return
+    opener = shutil.which("open" if sys.platform == "darwin" else "xdg-open")
+    if opener and (sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        subprocess.Popen([opener, str(path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    else:
+        console.print(Segments(_half_blocks(path, min(console.width, _MOST_COLUMNS))))
+
+
+def _half_blocks(path: Path, columns: int) -> Iterator[Segment]:
+    """A picture as upper half blocks: the ink is one pixel, the ground behind it the one below."""
+    pixels = read_image(path).pixels[..., :3]
+    height, width = pixels.shape[:2]
+    columns = min(columns, width)
+    rows = max(2, columns * height // width // 2 * 2)
+    # Means of the pixels that fall together.
+    sums = np.add.reduceat(pixels, np.arange(rows) * height // rows, axis=0)
+    sums = np.add.reduceat(sums, np.arange(columns) * width // columns, axis=1)
+    counts = np.diff(np.arange(rows + 1) * height // rows)[:, None] * np.diff(np.arange(columns + 1) * width // columns)
+    codes = np.rint(255.0 * sums / counts[..., None]).astype(int)
+    for upper, lower in zip(codes[::2], codes[1::2], strict=True):
+        for ink, ground in zip(upper, lower, strict=True):
+            yield Segment("\u2580", Style(color=Color.from_rgb(*ink), bgcolor=Color.from_rgb(*ground)))
+        yield Segment.line()
 
 
 def _console() -> Console:

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from export_support import random_svbrdf
 
+from brdffit.models import get_model, model_names
 from brdffit.render import shading
 from brdffit.roughness import tensor_from_log
 
 #: Midpoint rule of 400 x 400 directions on lobes of alpha 0.1 and above.
 QUADRATURE = 5e-3
-PROFILES = {"ggx": shading.ggx_profile, "beckmann": shading.beckmann_profile}
+PROFILES = shading.PROFILES
+#: The kernels' polynomial exponential and logarithm, in single precision.
+KERNEL = 5e-5
 TENSORS = {
     "isotropic": (0.09, 0.09, 0.0),
     "rough": (1.0, 1.0, 0.0),
@@ -40,6 +43,19 @@ def test_a_lobe_is_normalised_in_the_frame_of_its_normal(profile, tensor):
     half, solid = hemisphere()
     value = shading.distribution(half, np.array(TENSORS[tensor]), PROFILES[profile])
     assert (value * half[..., 2] * solid).sum() == pytest.approx(1.0, abs=QUADRATURE)
+
+
+@pytest.mark.parametrize("name", model_names())
+@pytest.mark.parametrize("shape", [-0.6, 0.0, 0.7])
+def test_lobes_are_those_that_are_fitted(name, shape):
+    """The picture's NumPy and the fit's kernel are two writings of one formula."""
+    model, random = get_model(name), np.random.default_rng(1)
+    shape = shape if model.shape_bounds else 0.0
+    C = np.append(random.uniform(0.05, 1.0, 40), [1.0, 1.0 - 1e-6]).astype(np.float32)
+    q = np.append(random.uniform(0.0, 4.0, 40), [0.3, 1e-4]).astype(np.float32)
+    normalisation = np.exp(model.log_normalisation.py_func(shape)[0])
+    fitted = [normalisation * model.profile(*pair, np.float32(shape)) for pair in zip(q, C, strict=True)]
+    np.testing.assert_allclose(PROFILES[name](q, C, np.full(42, shape, np.float32)), fitted, rtol=KERNEL, atol=1e-6)
 
 
 @pytest.mark.parametrize(

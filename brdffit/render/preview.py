@@ -40,8 +40,6 @@ _LIGHTS = (
 #: Radiance of the surroundings straight above and straight below; between them it goes linearly.
 _SKY, _GROUND = np.array((0.62, 0.63, 0.66), np.float32), np.array((0.10, 0.095, 0.09), np.float32)
 
-_PROFILES = {"ggx": shading.ggx_profile}
-
 
 def make_preview(
     base: Svbrdf,
@@ -64,8 +62,7 @@ def make_preview(
         title: name of the set.
         levels: MIP levels shown, near to far; those that a pyramid lacks are left out (one is always shown).
         ball: diameter of a ball in pixels.
-        base_profile: lobe of ``base`` and ``naive``; None takes it by the model's name (GGX, else Beckmann, which is
-            what the other models tend to).
+        base_profile: lobe of ``base`` and ``naive``; None takes it by the model's name.
         fit_profile: lobe of ``fit``.
         threads: worker threads; None takes one a core, at most four. The picture does not depend on it.
 
@@ -102,8 +99,8 @@ def _window(base: tuple[int, int], size: tuple[int, int], ball: int) -> tuple[in
 
 
 def profile_of(model: str) -> shading.Profile:
-    """The lobe of a model, for a picture: GGX, or Beckmann for the others, which are close to it."""
-    return _PROFILES.get(model, shading.beckmann_profile)
+    """The lobe of a model; a model that is not ours is shown as Beckmann, which narrow lobes tend to."""
+    return shading.PROFILES.get(model, shading.beckmann_profile)
 
 
 class _Scene:

@@ -13,10 +13,15 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gamma
 
 #: profile(q, C, shape): the lobe but for 1 / (pi sqrt(det Sigma)), q = x' Sigma^-1 x and C = (n.h)^2, normalised.
 Profile = Callable[[NDArray, NDArray, NDArray | None], NDArray]
 
+# Lobes vanish long before C falls so low; it keeps 1 / C^2 finite.
+_LEAST_C = 1e-6
+# At 1 - C this small log(C) / (1 - C) is -1 to single precision.
+_LEAST_BELOW = np.float32(1e-7)
 # Below it the quotient of the visibility term overflows single precision; nothing is seen at such an angle anyway.
 _LEAST_COSINE = 1e-4
 #: Reflectance below which a surface has no Fresnel peak: no real material reflects less than 2%.
@@ -30,8 +35,34 @@ def ggx_profile(q: NDArray, C: NDArray, shape: NDArray | None = None) -> NDArray
 
 def beckmann_profile(q: NDArray, C: NDArray, shape: NDArray | None = None) -> NDArray:
     """Beckmann: exp(-q / C) / C^2."""
-    C = np.maximum(C, 1e-6)
+    C = np.maximum(C, _LEAST_C)
     return np.exp(-q / C) / np.square(C)
+
+
+def generalised_beckmann_profile(q: NDArray, C: NDArray, shape: NDArray | None = None) -> NDArray:
+    """Generalised Beckmann: exp(-(q / C)^p) / (Gamma(1 + 1/p) C^2) with p = exp(shape)."""
+    if shape is None:
+        return beckmann_profile(q, C)
+    C = np.maximum(C, _LEAST_C)
+    power = np.exp(shape)
+    return np.exp(-np.power(q / C, power)) / (gamma(1.0 + 1.0 / power) * np.square(C))
+
+
+def ashikhmin_shirley_profile(q: NDArray, C: NDArray, shape: NDArray | None = None) -> NDArray:
+    """Ashikhmin-Shirley, and Blinn-Phong where isotropic: exp(q log(C) / (1 - C)) / C; the quotient is -1 at C = 1."""
+    C = np.maximum(C, _LEAST_C)
+    below = np.maximum(1.0 - C, _LEAST_BELOW)
+    return np.exp(q * np.minimum(np.log1p(-below) / below, -1.0)) / C
+
+
+#: The lobes of the models, by name.
+PROFILES: dict[str, Profile] = {
+    "ggx": ggx_profile,
+    "beckmann": beckmann_profile,
+    "generalised-beckmann": generalised_beckmann_profile,
+    "ashikhmin-shirley": ashikhmin_shirley_profile,
+    "blinn-phong": ashikhmin_shirley_profile,
+}
 
 
 def components(x: NDArray, y: NDArray, z: NDArray) -> NDArray:
@@ -134,7 +165,7 @@ def brdf(
 
 
 def under_specular(specular: NDArray) -> NDArray:
-    """What the lobe leaves to the diffuse part at normal incidence, 1 - specular (..., 3), held at 0 for a scale above 1."""
+    """What the lobe leaves to the diffuse part at normal incidence, 1 - specular (..., 3); 0 for a scale above 1."""
     return np.maximum(1.0 - specular, 0.0)
 
 
