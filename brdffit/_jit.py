@@ -78,6 +78,12 @@ def specialise(template: Any, suffix: str, **bindings: Any) -> Any:
     source = template.py_func
     names = set(source.__code__.co_names)
     new_globals = dict(source.__globals__)
+    # What is bound may itself use a bound name (the float type): specialised along.
+    own = {name: value for name, value in bindings.items() if value is not source.__globals__.get(name)}
+    for name, value in bindings.items():
+        if isinstance(value, numba.core.dispatcher.Dispatcher):
+            rest = {other: bound for other, bound in own.items() if other != name}
+            bindings[name] = specialise(value, suffix, **rest) if rest and _uses(value, rest.keys()) else value
     new_globals.update(bindings)
     for name in names - bindings.keys():
         callee = new_globals.get(name)

@@ -52,14 +52,18 @@ def perceptual_from_log_tensor(log_tensor: NDArray) -> NDArray:
 def tensor_from_log(log_tensor: NDArray) -> NDArray:
     """Sigma as (XX, YY, XY) of its matrix logarithm (a, b, c); shapes (..., 3).
 
-    With t = (a+b)/2, d = (a-b)/2, r = sqrt(d^2 + c^2):
-    exp [[a,c],[c,b]] = e^t (cosh r I + sinh r / r [[d,c],[c,-d]]).
+    With t = (a+b)/2, d = (a-b)/2, r = sqrt(d^2 + c^2) the eigenvalues are e^(t+r) and e^(t-r), and the squared sine
+    of the major axis from the nearer of x and y is c^2 / (2 r (r + |d|)). Nothing cancels, so the minor axis survives
+    in single precision where cosh r - sinh r would lose it.
     """
     t, d, c, r = _split(log_tensor)
-    scale = np.exp(t)
-    sinhc = np.where(r > 1e-6, np.sinh(r) / np.where(r > 1e-6, r, 1.0), 1.0 + r * r / 6.0)
-    cosh = np.cosh(r)
-    out = np.stack([scale * (cosh + sinhc * d), scale * (cosh - sinhc * d), scale * sinhc * c], axis=-1)
+    major, minor = np.exp(t + r), np.exp(t - r)
+    safe = np.where(r > 0, r, 1)
+    far = np.square(c / safe) / (2 * (1 + np.abs(d) / safe))
+    along, across = major * (1 - far) + minor * far, major * far + minor * (1 - far)
+    # (e^(t+r) - e^(t-r)) / (2 r) = e^(t-r) expm1(2 r) / (2 r)
+    off = c * (minor * np.expm1(2 * r) / (2 * safe))
+    out = np.stack([np.where(d >= 0, along, across), np.where(d >= 0, across, along), off], axis=-1)
     return out.astype(log_tensor.dtype, copy=False)
 
 

@@ -243,6 +243,8 @@ def fit_texel(
     # A refined texel has separated peaks more often than not: the highest of them is worth a search of its own.
     follow = min(search.starts + (1 if tier > 0 else 0), STARTS)
     status, value = search_from_starts(scratch, search, follow, moments_kernel, log_normalisation, report)
+    for k in range(3):
+        report[RED_SCALE + k] = report[FILTERED + k] if some else 1.0
     clamp_to_domain(theta, search)
     settle_scale(theta, nodes, setting, values_kernel, log_normalisation, scratch.values, work, report)
     if not search.held:

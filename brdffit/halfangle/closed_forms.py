@@ -44,6 +44,7 @@ def closed_forms(lobes, count, isotropic_base, starts, isotropic):
     xx, yy, xy = 0.0, 0.0, 0.0
     sharp, shape = 0.0, 0.0
     narrowest, widest = 1e30, 0.0
+    least_shape, most_shape = 1e30, -1e30
     for i in range(count):
         w = lobes[i, MIXTURE]
         x += w * lobes[i, 0]
@@ -56,6 +57,7 @@ def closed_forms(lobes, count, isotropic_base, starts, isotropic):
         sharp += w / least
         shape += w * lobes[i, SHAPE]
         narrowest = min(narrowest, least)
+        least_shape, most_shape = min(least_shape, lobes[i, SHAPE]), max(most_shape, lobes[i, SHAPE])
         widest = max(widest, t_xx + t_yy)
     length = math.sqrt(x * x + y * y + z * z)
     if length < 1e-6:
@@ -100,7 +102,7 @@ def closed_forms(lobes, count, isotropic_base, starts, isotropic):
     for p in range(2, PARAMETERS):
         starts[PEAK, p] = starts[STARTS - 1, p]
     alike = widest < (1.0 + _FLAT_SHARE) * 2.0 * narrowest and farthest < _FLAT_SHARE * _FLAT_SHARE * narrowest
-    return isotropic_base and alike
+    return isotropic_base and alike and most_shape - least_shape < _FLAT_SHARE
 
 
 @inline

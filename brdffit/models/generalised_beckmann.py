@@ -20,9 +20,8 @@ from brdffit.models.elementary import exp_negative, log_positive
 real = np.float32
 
 _LEAST_C = 1e-6
-# x^p at x = 0 would need log 0; at 1e-12 the profile is 1 to float32 for every p >= 0.5.
-_LEAST_X = 1e-12
-_GREATEST_POWER = 80.0
+# x^p at x = 0 would need log 0; at 1e-30 the profile is 1 to float32 for every p >= 0.4.
+_LEAST_X = 1e-30
 
 
 @inline
