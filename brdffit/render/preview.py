@@ -38,7 +38,7 @@ _LIGHTS = (
     ((0.85, -0.05, 0.30), (0.9, 1.1, 1.4), 0.10),
 )
 #: Radiance of the surroundings straight above and straight below; between them it goes linearly.
-_SKY, _GROUND = np.array((0.62, 0.63, 0.66), np.float32), np.array((0.10, 0.095, 0.09), np.float32)
+_SKY, _GROUND = np.array((0.19, 0.19, 0.20), np.float32), np.array((0.030, 0.029, 0.027), np.float32)
 
 
 def make_preview(
@@ -273,6 +273,18 @@ def _displayed(radiance: NDArray) -> NDArray:
     return np.where(mapped <= 0.0031308, 12.92 * mapped, 1.055 * np.power(mapped, 1.0 / 2.4) - 0.055)
 
 
+def _figures(radiance: NDArray, reference: NDArray) -> str:
+    """How far a ball is from its reference (pixels, 3): in the light that reaches the eye, and in what is displayed.
+
+    The SNR of the linear radiance weighs highlights, where most of the light is; the RMS of the displayed values weighs
+    the dark parts as much.
+    """
+    power = float(np.square(reference, dtype=np.float64).sum())
+    snr = 10.0 * math.log10(power / max(float(np.square(radiance - reference, dtype=np.float64).sum()), 1e-10 * power))
+    shown = float(np.sqrt(np.square(_displayed(radiance) - _displayed(reference)).mean()))
+    return f"SNR {snr:.1f} DB, DISPLAYED {100.0 * shown:.1f}% OFF"
+
+
 def _compose(
     balls: list[list[NDArray]], levels: Sequence[int], scene: _Scene, exposure: float, method: str, title: str
 ) -> NDArray:
@@ -293,14 +305,13 @@ def _compose(
         top = _HEADER + row * (ball + _CAPTION)
         lettering.write(picture, distances[row], (top + ball // 2 - 16, _MARGIN), 2, _INK)
         lettering.write(picture, f"LEVEL {level}", (top + ball // 2 + 8, _MARGIN), 1, _DIM)
-        reference = _displayed(lit[2] * exposure)
+        reference = lit[2] * exposure
         for column, radiance in enumerate(lit):
             start = left + column * (ball + _GAP)
             coverage = scene.coverage[scene.rows, scene.columns][:, None]
             linear = radiance * exposure * coverage + _BACKGROUND * (1.0 - coverage)
             picture[top + scene.rows, start + scene.columns] = np.round(255.0 * _displayed(linear))
             if column < 2:
-                error = float(np.sqrt(np.square(_displayed(radiance * exposure) - reference).mean()))
-                text = f"RMS DIFFERENCE {100.0 * error:.1f}%"
+                text = _figures(radiance * exposure, reference)
                 lettering.write(picture, text, (top + ball + 9, start + ball // 2), 1, _DIM, centred=True)
     return picture

@@ -131,6 +131,8 @@ def write_png(path: str | Path, pixels: NDArray) -> None:
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, str(pixels.dtype))
     spec.attribute("oiio:UnassociatedAlpha", 1)
+    # A quarter faster than the default of 6, and files 1% larger.
+    spec.attribute("png:compressionLevel", 4)
     writer = _create(path, "png")
     _check(writer.open(str(path), spec), writer, path)
     _check(writer.write_image(np.ascontiguousarray(pixels)), writer, path)
