@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -12,26 +11,16 @@ from numpy.typing import NDArray
 
 from brdffit._jit import kernel, numba_type, specialise, types
 from brdffit.fitting.bfgs import WORK
-from brdffit.fitting.status import CONVERGED, FALLBACK, REFINED
-from brdffit.fitting.texel import (
-    DISAGREEMENT,
-    EVALUATIONS,
-    FILTERED,
-    REPORT,
-    RESIDUAL,
-    TOO_COARSE,
-    Search,
-    Workplace,
-    fit_texel,
-)
+from brdffit.fitting.status import FALLBACK
+from brdffit.fitting.texel import EVALUATIONS, FILTERED, REPORT, RESIDUAL, Rule, Scratch, Search, fit_texel
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
 from brdffit.halfangle.closed_forms import STARTS
 from brdffit.halfangle.quadrature import lattice
 from brdffit.models import Model
 
-#: How many rules a texel may go through.
-TIERS = 4
+#: How many point sets a level has.
+TIERS = 3
 
 
 class Output(NamedTuple):
@@ -47,12 +36,12 @@ class Output(NamedTuple):
     evaluations: NDArray
 
 
-@dataclass(frozen=True)
-class Rule:
-    """One quadrature rule: strata of the footprint and nodes of the half-angle integral."""
+class LevelRules(NamedTuple):
+    """How a level is sampled: strata of its footprints, room for lobes, and point sets from few nodes to many."""
 
     strata: Strata
-    points: NDArray
+    room: int
+    points: tuple[NDArray, ...]
 
 
 @kernel
@@ -70,35 +59,19 @@ def diffuse_scale(moment, channel, n_x, n_y, n_z, exponent):
 
 @kernel
 def fit_rows(
-    base, rules, columns, rows, search, output,
+    base, strata, columns, rows, search, scratch, rules, output,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
 ):  # fmt: skip
     """Fit the texels (columns[i], rows[i]) of a level into row i of the outputs (flattened over texels).
 
-    Rules go from coarse to fine. A texel moves on where the strata are too coarse for its lobes, or where the two
-    halves of the rule disagree by more than ``search.trusted`` of the residual (up to ``search.last_doubt``); one whose
-    search fails, or whose result is not finite, gets its closed-form start.
+    A texel whose search fails, or whose result is not finite, gets its closed-form start.
     """
-    moment = np.zeros(9)
-    report = np.zeros(REPORT)
+    theta, report = scratch.theta, scratch.report
     for i in range(columns.size):
-        evaluations = 0.0
-        status = TOO_COARSE
-        tier = 0
-        while True:
-            status = fit_texel(
-                base, rules[tier], columns[i], rows[i], search, tier, tier == len(rules) - 1, moment, report,
-                tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
-            )  # fmt: skip
-            evaluations += report[EVALUATIONS]
-            doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + search.negligible
-            if status == TOO_COARSE or (doubtful and tier < search.last_doubt):
-                tier += 1
-            else:
-                break
-        if status == CONVERGED and tier > 0:
-            status = REFINED
-        theta, best = rules[tier].theta, rules[tier].best
+        status = fit_texel(
+            base, strata, columns[i], rows[i], search, scratch, rules,
+            tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
+        )  # fmt: skip
         total = 0.0
         for p in range(6):
             total += theta[p]
@@ -106,7 +79,7 @@ def fit_rows(
             status = FALLBACK
         if status == FALLBACK:
             for p in range(6):
-                theta[p] = best[p]
+                theta[p] = scratch.best[p]
             for k in range(3):
                 report[k] = report[FILTERED + k]
         inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
@@ -116,11 +89,11 @@ def fit_rows(
             output.log_roughness[i, k] = theta[2 + k]
             output.specular[i, k] = report[k]
             if base.has_diffuse:
-                output.diffuse[i, k] = diffuse_scale(moment, k, n_x, n_y, n_z, search.exponent)
+                output.diffuse[i, k] = diffuse_scale(scratch.moment, k, n_x, n_y, n_z, search.exponent)
         output.shape[i] = theta[5]
         output.status[i] = status
         output.residual[i] = report[RESIDUAL]
-        output.evaluations[i] = min(evaluations, 65535)
+        output.evaluations[i] = min(report[EVALUATIONS], 65535)
 
 
 class ModelKernels(NamedTuple):
@@ -192,31 +165,34 @@ def fitting_kernel(float_width: int = 32) -> Any:
 def _example(float_width: int) -> tuple[Any, ...]:
     """Arguments of ``fit_rows`` up to the functions, for their types alone."""
     image, plane, line = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32), np.zeros(1)
-    rule = make_workplace(Rule(Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0), lattice(1)), float_width)
+    level = LevelRules(Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0), 1, (lattice(1),) * TIERS)
     base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, False, True)
-    search = Search(0, False, 3, 0.0, 0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0, 0.0, 0)
+    search = Search(0, False, 3, 0.0, 0.0, 0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0, 0)
     indices = np.zeros(1, np.int64)
-    return base, (rule,) * TIERS, indices, indices, search, make_output(1)
+    return base, level.strata, indices, indices, search, *make_workplace(level, float_width), make_output(1)
 
 
-def make_workplace(rule: Rule, float_width: int = 32) -> Workplace:
-    """A rule with the scratch arrays of one worker."""
-    count, nodes = rule.strata.samples, rule.points.shape[1]
+def make_workplace(level: LevelRules, float_width: int = 32) -> tuple[Scratch, tuple[Rule, ...]]:
+    """The arrays of one worker."""
     real = np.float32 if float_width == 32 else np.float64
-    return Workplace(
-        strata=rule.strata,
-        points=rule.points,
-        lobes=np.zeros((count + 1, quadrature.LOBE_COLUMNS)),
-        nodes=np.zeros((quadrature.NODE_ROWS, nodes), real),
-        values=np.zeros(nodes, real),
+    parameters = objective.PARAMETERS
+    scratch = Scratch(
+        lobes=np.zeros((level.room + 1, quadrature.LOBE_COLUMNS)),
         work=np.zeros(WORK),
         setting=np.zeros(6),
-        theta=np.zeros(objective.PARAMETERS),
-        best=np.zeros(objective.PARAMETERS),
-        start=np.zeros(objective.PARAMETERS),
-        starts=np.zeros((STARTS, objective.PARAMETERS)),
+        theta=np.zeros(parameters),
+        best=np.zeros(parameters),
+        start=np.zeros(parameters),
+        starts=np.zeros((STARTS, parameters)),
         colour=np.ones(3),
+        moment=np.zeros(9),
+        report=np.zeros(REPORT),
     )
+    rules = tuple(
+        Rule(points, np.zeros((quadrature.NODE_ROWS, points.shape[1]), real), np.zeros(points.shape[1], real))
+        for points in level.points
+    )
+    return scratch, rules
 
 
 def make_output(texels: int) -> Output:
@@ -234,9 +210,9 @@ def make_output(texels: int) -> Output:
 
 
 def fit_texels(
-    base: Base, rules: tuple[Rule, ...], columns: NDArray, rows: NDArray, search: Search, output: Output,
+    base: Base, level: LevelRules, columns: NDArray, rows: NDArray, search: Search, output: Output,
     kernels: ModelKernels, float_width: int = 32,
 ) -> None:  # fmt: skip
-    """Fit texels (columns[i], rows[i]) into ``output`` by TIERS rules, from coarse to fine; releases the GIL."""
-    places = tuple(make_workplace(rule, float_width) for rule in rules)
-    fitting_kernel(float_width)(base, places, columns, rows, search, output, *kernels)
+    """Fit texels (columns[i], rows[i]) of a level into ``output``; releases the GIL."""
+    scratch, rules = make_workplace(level, float_width)
+    fitting_kernel(float_width)(base, level.strata, columns, rows, search, scratch, rules, output, *kernels)

@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
-from brdffit.fitting.batch import ModelKernels, Output, Rule, fit_texels, fitting_kernel, make_output, model_kernels
+from brdffit.fitting.batch import (
+    LevelRules,
+    ModelKernels,
+    Output,
+    fit_texels,
+    fitting_kernel,
+    make_output,
+    model_kernels,
+)
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
 from brdffit.fitting.presets import Quality, get_quality
 from brdffit.fitting.status import FALLBACK, KEPT
@@ -78,20 +86,17 @@ class NonlinearFit:
 def level_rules(
     pixel_filter: PixelFilter, base_size: tuple[int, int], size: tuple[int, int], mip_level: int, quality: Quality,
     point: bool = False,
-) -> tuple[Rule, ...]:  # fmt: skip
-    """The rules of a level, from coarse to fine. ``point`` takes the base texel itself, unfiltered."""
-    rules = []
+) -> LevelRules:  # fmt: skip
+    """How a level is sampled. ``point`` takes the base texel itself, unfiltered."""
+    points = tuple(lattice(nodes) for nodes in quality.nodes)
+    if point:
+        one = np.ones(1)
+        return LevelRules(Strata(0.0 * one, 0.0 * one, one, one, 0.0, 0.0, 1.0, 1.0, 0), 1, points)
     pixels = max(1.0, 2.0 * pixel_filter.radius)
-    texels = max(base_size[0] / size[0], base_size[1] / size[1])
-    for tier in quality.tiers:
-        if point:
-            one = np.ones(1)
-            chosen = Strata(0.0 * one, 0.0 * one, one, one, 0.0, 0.0, 1.0, 1.0, 0)
-        else:
-            per_texel = max(2, math.ceil(tier.least / texels))
-            chosen = strata(pixel_filter, base_size, size, per_texel, math.ceil(tier.most * pixels), mip_level)
-        rules.append(Rule(chosen, lattice(tier.nodes)))
-    return tuple(rules)
+    # An even number a texel: strata then end at texel centres, where the bilinear patches do.
+    per_texel = 2 * max(1, math.ceil(0.5 * quality.least / max(base_size[0] / size[0], base_size[1] / size[1])))
+    chosen = strata(pixel_filter, base_size, size, per_texel, math.ceil(quality.most * pixels), mip_level)
+    return LevelRules(chosen, max(quality.room, 2 * chosen.samples), points)
 
 
 def _search(options: BakeOptions, quality: Quality, base: Base, source: Model, target: Model) -> Search:
@@ -108,6 +113,7 @@ def _search(options: BakeOptions, quality: Quality, base: Base, source: Model, t
         free=free,
         held=one_of("specular", options.specular, ("free", "held")) == "held",
         exponent=DENSITY_EXPONENTS[options.density],
+        step=quality.step,
         tolerance=quality.tolerance,
         iterations=quality.iterations,
         starts=quality.starts,
@@ -117,14 +123,13 @@ def _search(options: BakeOptions, quality: Quality, base: Base, source: Model, t
         shape_high=high,
         same_model=source.name == target.name,
         trusted=quality.trusted,
-        coarse=quality.coarse,
         negligible=quality.negligible,
-        last_doubt=quality.last_doubt,
+        crowd=4 * quality.least**2,
     )
 
 
 def _fit_level(
-    base: Base, rules: tuple[Rule, ...], size: tuple[int, int], search: Search, kernels: ModelKernels,
+    base: Base, rules: LevelRules, size: tuple[int, int], search: Search, kernels: ModelKernels,
     threads: int | None, mip_level: int, progress: Progress | None,
 ) -> Output:  # fmt: skip
     """Fit all texels of a level in pieces, on threads (the loop releases the GIL).

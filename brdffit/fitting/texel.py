@@ -8,14 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from brdffit._jit import inline, kernel
-from brdffit.fitting.bfgs import FREE_NORMAL, minimise
+from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, minimise
 from brdffit.fitting.status import (
+    CONVERGED,
     FALLBACK,
     FLAT,
     NO_SPECULAR,
+    REFINED,
 )
 from brdffit.halfangle.apparent_lobe import (
-    Strata,
     add_defensive_lobe,
     gather_lobes,
     normalise_mixture,
@@ -27,16 +28,18 @@ from brdffit.halfangle.closed_forms import (
     PEAK,
     STARTS,
     STEEPEST_SLOPE,
-    VMF,
     closed_forms,
-    coarse_share,
     widen_lobes,
 )
 from brdffit.halfangle.frame import eigen_log
 from brdffit.halfangle.objective import (
     HELD,
+    LOG_HIGH,
+    LOG_LOW,
     PARAMETERS,
     SCALE,
+    SHAPE_HIGH,
+    SHAPE_LOW,
     TARGET,
     evaluate,
 )
@@ -59,27 +62,27 @@ RED_SCALE, GREEN_SCALE, BLUE_SCALE, RESIDUAL, DISAGREEMENT, EVALUATIONS, TARGET_
 # The filtered colour, (red, green, blue) from FILTERED on; 0 where a negative filter weight makes it negative.
 REPORT = FILTERED + 3
 
-# A mean squared step between samples below this (in units of the lobe's width) would widen lobes by less than 1%.
-_NARROW_STEP = 0.03
-
-#: What ``fit_texel`` returns when the rule's strata are too coarse for the footprint; never a texel's final status.
-TOO_COARSE = 255
+# A mean spread below this (in units of the lobe's width) changes a lobe by less than 1%: the cheaper table will do.
+_NARROW_SPREAD = 0.01
+# Squared cosine between the colour that a target was aimed with and the best scale's, above which they are the same.
+_SAME_COLOUR = 0.999
 
 
 class Search(NamedTuple):
     """How the search goes on, the same for all texels.
 
-    ``free``: mask of what is fitted; ``exponent``: of z.h in the half-angle density; ``tolerance``: of the error the
-    model still promises to remove when it stops; ``starts``: how many are followed to the end; bounds of the log
-    eigenvalues and of the shape; ``same_model``: base and pyramid share a lobe model; ``trusted``: largest
-    disagreement of two half rules, as a share of the residual, that is not refined; ``coarse``: largest share of the
-    energy in samples further than a lobe's width from the next; ``negligible``: disagreement (relative squared error)
-    that is never refined; ``last_doubt``: last rule that a disagreement can lead to.
+    ``free``: mask of what is fitted; ``exponent``: of z.h in the half-angle density; ``step``: how many lobe widths the
+    normal may turn from one sample of the footprint to the next; ``tolerance``: share of the error that a step must
+    still promise; ``starts``: how many are followed to the end; bounds of the log eigenvalues and of the shape;
+    ``same_model``: base and pyramid share a lobe model; ``trusted``: largest disagreement of two half rules, as a share
+    of the residual, that is not refined; ``negligible``: disagreement (relative squared error) that never is;
+    ``crowd``: lobes in a footprint above which the first rule is passed over.
     """
 
     free: int
     held: bool
     exponent: int
+    step: float
     tolerance: float
     iterations: int
     starts: int
@@ -89,19 +92,14 @@ class Search(NamedTuple):
     shape_high: float
     same_model: bool
     trusted: float
-    coarse: float
     negligible: float
-    last_doubt: int
+    crowd: int
 
 
-class Workplace(NamedTuple):
-    """A rule, and the arrays that a worker allocates for it once."""
+class Scratch(NamedTuple):
+    """Arrays that a worker allocates once."""
 
-    strata: Strata
-    points: np.ndarray
     lobes: np.ndarray
-    nodes: np.ndarray
-    values: np.ndarray
     work: np.ndarray
     setting: np.ndarray
     theta: np.ndarray
@@ -109,6 +107,16 @@ class Workplace(NamedTuple):
     start: np.ndarray
     starts: np.ndarray
     colour: np.ndarray
+    moment: np.ndarray
+    report: np.ndarray
+
+
+class Rule(NamedTuple):
+    """Points of a quadrature rule and one worker's arrays for it."""
+
+    points: np.ndarray
+    nodes: np.ndarray
+    values: np.ndarray
 
 
 @inline
@@ -183,99 +191,106 @@ def settle_scale(theta, nodes, setting, values_kernel, log_normalisation, values
 
 @kernel
 def fit_texel(
-    base, scratch, column, row, search, tier, last, diffuse_moment, report,
+    base, strata, column, row, search, scratch, rules,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
 ):  # fmt: skip
-    """Fit one texel with one rule. The answer is left in ``scratch.theta``, the rest in ``report``; returns a status.
+    """Fit one texel: its answer is left in ``scratch.theta``, the rest in ``scratch.report``; returns a status.
 
-    Returns TOO_COARSE at once where the strata are too wide for the lobes, unless this is the ``last`` rule.
-    ``scratch.best`` (6,) receives the closed-form start, to fall back on.
+    Rules go from few nodes to many. A texel moves on where the two halves of a rule disagree by more than
+    ``search.trusted`` of the residual. ``scratch.best`` (6,) receives the closed-form start, to fall back on.
     """
-    lobes, theta, work, setting = scratch.lobes, scratch.theta, scratch.work, scratch.setting
-    nodes, strata, points = scratch.nodes, scratch.strata, scratch.points
-    count = gather_lobes(base, strata, column, row, lobes, diffuse_moment)
+    lobes, theta, report = scratch.lobes, scratch.theta, scratch.report
+    count, spread = gather_lobes(base, strata, search.step, column, row, lobes, scratch.moment)
     red, green, blue, some = normalise_mixture(lobes, count)
-    isotropic = search.free & 2 == 0
-    isotropic_base = base.isotropic
-    flat = closed_forms(lobes, count, isotropic_base, scratch.starts, isotropic)
-    report[EVALUATIONS] = 0.0
-    report[FILTERED], report[FILTERED + 1], report[FILTERED + 2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+    isotropic = search.free & FREE_ANISOTROPY == 0
+    flat = closed_forms(lobes, count, base.isotropic, scratch.starts, isotropic)
+    report[:] = 0.0
+    colour = scratch.colour
+    colour[0], colour[1], colour[2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
     for k in range(3):
-        report[RED_SCALE + k] = report[FILTERED + k]
-    report[RESIDUAL], report[DISAGREEMENT] = 0.0, 0.0
+        report[RED_SCALE + k] = report[FILTERED + k] = colour[k]
+    for p in range(PARAMETERS):
+        theta[p] = scratch.starts[LEAN, p]
+    clamp_to_domain(theta, search)
+    for p in range(PARAMETERS):
+        scratch.best[p] = theta[p]
     if flat and search.same_model:
-        for p in range(PARAMETERS):
-            theta[p] = scratch.starts[0, p]
-            scratch.best[p] = theta[p]
-        clamp_to_domain(theta, search)
         return FLAT if some else NO_SPECULAR
-    if strata.jitter_x == 0.0 and strata.jitter_y == 0.0:
-        share, mean_step = coarse_share(lobes, count, isotropic_base, strata.x.size)
-        if not last and share > search.coarse:
-            return TOO_COARSE
-        if mean_step > _NARROW_STEP:
-            widen_lobes(lobes, count, isotropic_base, strata.x.size)
-            isotropic_base = False
-            closed_forms(lobes, count, isotropic_base, scratch.starts, isotropic)
+    lobes_isotropic = base.isotropic
+    if spread > _NARROW_SPREAD:
+        widen_lobes(lobes, count, lobes_isotropic)
+        lobes_isotropic = False
+        closed_forms(lobes, count, lobes_isotropic, scratch.starts, isotropic)
     clamp_to_domain(scratch.starts[LEAN], search)
     start = scratch.starts[LEAN]
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
-    place_nodes(lobes, count, isotropic_base, points, search.exponent, nodes, work)
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
-    tabulate_kernel(lobes, count, isotropic_base, base.grey, nodes, work)
-    weigh_nodes(nodes)
+    tier = 1 if count > search.crowd else 0
+    while True:
+        rule = rules[tier]
+        place_nodes(lobes, count, lobes_isotropic, rule.points, search.exponent, rule.nodes, scratch.work)
+        tabulate_kernel(lobes, count, lobes_isotropic, base.grey, rule.nodes, scratch.work)
+        weigh_nodes(rule.nodes)
+        for k in range(3):
+            colour[k] = report[FILTERED + k]
+        if not some or colour[0] + colour[1] + colour[2] <= 0.0:
+            colour[0] = colour[1] = colour[2] = 1.0
+        # A refined texel has separated peaks more often than not: the highest is worth a search of its own.
+        follow = min(search.starts + (1 if tier > 0 else 0), STARTS)
+        status = fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, log_normalisation)
+        if tier == len(rules) - 1:
+            break
+        if report[DISAGREEMENT] <= search.trusted * report[RESIDUAL] + search.negligible:
+            break
+        tier += 1
+    if status == CONVERGED and tier > 0:
+        status = REFINED
+    if not some:
+        report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
+        return NO_SPECULAR
+    return status
+
+
+@kernel
+def fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, log_normalisation):
+    """Fit the lobe to a full table; ``scratch.colour`` holds the filtered colour. Returns a status."""
+    theta, work, setting, report, colour = scratch.theta, scratch.work, scratch.setting, scratch.report, scratch.colour
+    nodes = rule.nodes
     norm = target_norm(nodes)
-    report[TARGET_NORM] = norm
-    colour = scratch.colour
-    colour[0], colour[1], colour[2] = report[FILTERED], report[FILTERED + 1], report[FILTERED + 2]
-    if not (some and colour[0] + colour[1] + colour[2] > 0.0):
-        colour[0] = colour[1] = colour[2] = 1.0
-    setting[HELD] = 1.0 if search.held else 0.0
-    setting[2], setting[3] = search.log_low, search.log_high
-    setting[4], setting[5] = search.shape_low, search.shape_high
     if not norm > 0.0:
-        for p in range(PARAMETERS):
-            theta[p] = scratch.starts[VMF, p]
-            scratch.best[p] = theta[p]
-        clamp_to_domain(theta, search)
-        return FALLBACK if some else NO_SPECULAR
+        return FALLBACK
+    report[TARGET_NORM] = norm
+    setting[HELD] = 1.0 if search.held else 0.0
+    setting[LOG_LOW], setting[LOG_HIGH] = search.log_low, search.log_high
+    setting[SHAPE_LOW], setting[SHAPE_HIGH] = search.shape_low, search.shape_high
     aim(nodes, colour, norm, setting)
-    # A refined texel has separated peaks more often than not: the highest of them is worth a search of its own.
-    follow = min(search.starts + (1 if tier > 0 else 0), STARTS)
-    status, value = search_from_starts(scratch, search, follow, moments_kernel, log_normalisation, report)
-    for k in range(3):
-        report[RED_SCALE + k] = report[FILTERED + k] if some else 1.0
+    status = search_from_starts(scratch, nodes, search, follow, moments_kernel, log_normalisation)
+    report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = colour[0], colour[1], colour[2]
     clamp_to_domain(theta, search)
-    settle_scale(theta, nodes, setting, values_kernel, log_normalisation, scratch.values, work, report)
+    settle_scale(theta, nodes, setting, values_kernel, log_normalisation, rule.values, work, report)
     if not search.held:
         # The best scale's colour may differ from the mean colour that the target was aimed with: aim again.
         r, g, b = report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE]
         dot = r * colour[0] + g * colour[1] + b * colour[2]
         lengths = (r * r + g * g + b * b) * (colour[0] ** 2 + colour[1] ** 2 + colour[2] ** 2)
-        if lengths > 0.0 and dot * dot < 0.999 * lengths:
+        if lengths > 0.0 and dot * dot < _SAME_COLOUR * lengths:
             colour[0], colour[1], colour[2] = r, g, b
             aim(nodes, colour, norm, setting)
             value = evaluate(theta, nodes, setting, moments_kernel, log_normalisation, work[0:6], work[120:168])
-            value, evaluations, again = minimise(
+            _, evaluations, _ = minimise(
                 theta, value, search.free, nodes, setting, moments_kernel, log_normalisation,
                 search.tolerance, search.iterations, work,
             )  # fmt: skip
             report[EVALUATIONS] += evaluations + 1
             clamp_to_domain(theta, search)
-            settle_scale(theta, nodes, setting, values_kernel, log_normalisation, scratch.values, work, report)
-    if not some:
-        # Fitted as if white; it reflects nothing all the same.
-        report[RED_SCALE] = report[GREEN_SCALE] = report[BLUE_SCALE] = 0.0
-    if not math.isfinite(report[RESIDUAL]):
-        report[RESIDUAL] = 1.0
-        return FALLBACK
-    return status if some else NO_SPECULAR
+            settle_scale(theta, nodes, setting, values_kernel, log_normalisation, rule.values, work, report)
+    return status if math.isfinite(report[RESIDUAL]) else FALLBACK
 
 
 @kernel
-def search_from_starts(scratch, search, follow, moments_kernel, log_normalisation, report):
-    """BFGS from the first ``follow`` starts; the best end is left in scratch.theta. Returns (status, value)."""
-    starts, theta, work, setting, nodes = scratch.starts, scratch.theta, scratch.work, scratch.setting, scratch.nodes
+def search_from_starts(scratch, nodes, search, follow, moments_kernel, log_normalisation):
+    """BFGS from the first ``follow`` starts; the best end is left in scratch.theta. Returns its status."""
+    starts, theta, work, setting = scratch.starts, scratch.theta, scratch.work, scratch.setting
     if search.free & FREE_NORMAL and follow > PEAK:
         red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
         top, highest = 0, real(0.0)
@@ -293,18 +308,18 @@ def search_from_starts(scratch, search, follow, moments_kernel, log_normalisatio
         for p in range(PARAMETERS):
             scratch.start[p] = starts[i, p]
             if i == 0:
-                scratch.best[p] = theta[p] = starts[i, p]
+                theta[p] = starts[i, p]
         value = evaluate(scratch.start, nodes, setting, moments_kernel, log_normalisation, work[0:6], work[120:168])
-        report[EVALUATIONS] += 1
+        scratch.report[EVALUATIONS] += 1
         if not math.isfinite(value):
             continue
         value, evaluations, status = minimise(
             scratch.start, value, search.free, nodes, setting, moments_kernel, log_normalisation,
             search.tolerance, search.iterations, work,
         )  # fmt: skip
-        report[EVALUATIONS] += evaluations
+        scratch.report[EVALUATIONS] += evaluations
         if value < best_value:
             best_value, best_status = value, status
             for p in range(PARAMETERS):
                 theta[p] = scratch.start[p]
-    return best_status, best_value
+    return best_status

@@ -16,9 +16,13 @@ from numpy.typing import NDArray
 
 from brdffit._jit import inline, kernel
 from brdffit.footprint import PixelFilter
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOG_TENSOR, MIXTURE, NORMALISATION, SHAPE, SPECULAR
+from brdffit.halfangle.frame import tangent_frame
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOG_TENSOR, MIXTURE, NORMALISATION, SHAPE, SPECULAR, SPREAD
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
+
+# Samples of one stratum and axis at most: a mirror of alpha 0.002 beside a wall wants more than anyone can pay.
+_MOST_CUTS = 16
 
 
 class Base(NamedTuple):
@@ -134,65 +138,153 @@ def _index(i, size, tile):
 
 
 @kernel
-def gather_lobes(base, strata, column, row, lobes, diffuse_moment):
-    """Fill ``lobes`` with the footprint of texel (column, row) and return how many there are.
+def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
+    """Fill ``lobes`` with the footprint of texel (column, row); returns (how many, mean relative spread).
 
     SPECULAR columns hold filter weight times colour, MIXTURE the filter weight alone (they sum to 1).
     ``diffuse_moment`` (9,) receives sum_i w_i d_ic n_i as (channel, axis).
+
+    A stratum across which the normal turns by more than ``step`` lobe widths is cut into as many samples an axis as
+    that takes, for point samples would turn a smooth streak of normals into separate needles; never more in all than
+    ``lobes`` has room for (one row is left for the defensive lobe). What a sample's part of the stratum still spreads
+    is noted in SPREAD, and its mean in units of the lobe's width is returned. Inside a stratum the base is one bilinear
+    patch (strata end at texel centres where sizes divide evenly), so edges and slopes of the patch say how far it
+    turns. Strata wider than a texel are sampled at random points: they are not cut, and nothing is left out.
     """
     height, width = base.normal.shape[0], base.normal.shape[1]
     centre_x = (column + 0.5) * strata.scale_x - 0.5
     centre_y = (row + 0.5) * strata.scale_y - 0.5
+    size_x = strata.x[1] - strata.x[0] if strata.x.size > 1 else 0.0
+    size_y = strata.y[1] - strata.y[0] if strata.y.size > 1 else 0.0
+    jittered = strata.jitter_x > 0.0 or strata.jitter_y > 0.0
+    cut = step > 0.0 and not jittered
     diffuse_moment[:] = 0.0
+    mean_spread = 0.0
     count = 0
+    left = strata.x.size * strata.y.size
     for gy in range(strata.y.size):
         for gx in range(strata.x.size):
+            left -= 1
             x = centre_x + strata.x[gx]
             y = centre_y + strata.y[gy]
-            if strata.jitter_x > 0.0 or strata.jitter_y > 0.0:
+            if jittered:
                 bits = _hash(strata.seed, row * 65536 + column, gy, gx)
                 x += strata.jitter_x * ((bits & np.uint32(0xFFFF)) / 65536.0 - 0.5)
                 y += strata.jitter_y * ((bits >> np.uint32(16)) / 65536.0 - 0.5)
             x0, y0 = math.floor(x), math.floor(y)
-            fx, fy = x - x0, y - y0
             i0, i1 = _index(int(x0), width, base.tile), _index(int(x0) + 1, width, base.tile)
             j0, j1 = _index(int(y0), height, base.tile), _index(int(y0) + 1, height, base.tile)
-            w00, w10, w01, w11 = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
-            n0 = _bilinear(base.normal, i0, i1, j0, j1, 0, w00, w10, w01, w11)
-            n1 = _bilinear(base.normal, i0, i1, j0, j1, 1, w00, w10, w01, w11)
-            n2 = _bilinear(base.normal, i0, i1, j0, j1, 2, w00, w10, w01, w11)
-            length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-            if length > 1e-6:
-                n0, n1, n2 = n0 / length, n1 / length, n2 / length
-            else:
-                n0, n1, n2 = 0.0, 0.0, 1.0
-            weight = strata.weight_x[gx] * strata.weight_y[gy]
-            lobes[count, 0], lobes[count, 1], lobes[count, 2] = n0, n1, n2
-            if base.isotropic:
-                r = w00 * base.perceptual[j0, i0] + w10 * base.perceptual[j0, i1]
-                r += w01 * base.perceptual[j1, i0] + w11 * base.perceptual[j1, i1]
-                lobes[count, ALPHA_SQUARED] = (r * r) * (r * r)
-            else:
-                for k in range(3):
-                    lobes[count, LOG_TENSOR + k] = _bilinear(
-                        base.log_roughness, i0, i1, j0, j1, k, w00, w10, w01, w11
-                    )
-            lobes[count, SHAPE] = base.default_shape
-            if base.has_shape:
-                s = w00 * base.shape[j0, i0] + w10 * base.shape[j0, i1]
-                lobes[count, SHAPE] = s + w01 * base.shape[j1, i0] + w11 * base.shape[j1, i1]
-            for k in range(3):
-                colour = _bilinear(base.specular, i0, i1, j0, j1, k, w00, w10, w01, w11)
-                lobes[count, SPECULAR + k] = weight * colour
-            lobes[count, MIXTURE] = weight
-            if base.has_diffuse:
-                for k in range(3):
-                    d = weight * _bilinear(base.diffuse, i0, i1, j0, j1, k, w00, w10, w01, w11)
-                    diffuse_moment[3 * k] += d * n0
-                    diffuse_moment[3 * k + 1] += d * n1
-                    diffuse_moment[3 * k + 2] += d * n2
-            count += 1
-    return count
+            n00, n10, n01, n11 = base.normal[j0, i0], base.normal[j0, i1], base.normal[j1, i0], base.normal[j1, i1]
+            cuts_x, cuts_y = 1, 1
+            spreads = False
+            if cut:
+                edge_x = size_x * size_x * max(_distance(n00, n10), _distance(n01, n11))
+                edge_y = size_y * size_y * max(_distance(n00, n01), _distance(n10, n11))
+                narrow = _narrowest(base, i0, i1, j0, j1)
+                spreads = edge_x + edge_y > 1e-3 * narrow
+                if edge_x > step * step * narrow or edge_y > step * step * narrow:
+                    cuts_x = min(math.ceil(math.sqrt(edge_x / narrow) / step), _MOST_CUTS)
+                    cuts_y = min(math.ceil(math.sqrt(edge_y / narrow) / step), _MOST_CUTS)
+                    cuts_x, cuts_y = max(cuts_x, 1), max(cuts_y, 1)
+                    room = lobes.shape[0] - 1 - count - left
+                    while cuts_x * cuts_y > room:
+                        if cuts_x > cuts_y:
+                            cuts_x = (cuts_x + 1) // 2
+                        else:
+                            cuts_y = (cuts_y + 1) // 2
+            weight = strata.weight_x[gx] * strata.weight_y[gy] / (cuts_x * cuts_y)
+            part_x, part_y = size_x / cuts_x, size_y / cuts_y
+            for sub_y in range(cuts_y):
+                for sub_x in range(cuts_x):
+                    fx = x - x0 + (sub_x + 0.5 - 0.5 * cuts_x) * part_x
+                    fy = y - y0 + (sub_y + 0.5 - 0.5 * cuts_y) * part_y
+                    w00, w10, w01, w11 = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+                    n0 = w00 * n00[0] + w10 * n10[0] + w01 * n01[0] + w11 * n11[0]
+                    n1 = w00 * n00[1] + w10 * n10[1] + w01 * n01[1] + w11 * n11[1]
+                    n2 = w00 * n00[2] + w10 * n10[2] + w01 * n01[2] + w11 * n11[2]
+                    length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+                    if length > 1e-6:
+                        n0, n1, n2 = n0 / length, n1 / length, n2 / length
+                    else:
+                        n0, n1, n2, length = 0.0, 0.0, 1.0, 1.0
+                    lobes[count, 0], lobes[count, 1], lobes[count, 2] = n0, n1, n2
+                    if base.isotropic:
+                        r = w00 * base.perceptual[j0, i0] + w10 * base.perceptual[j0, i1]
+                        r += w01 * base.perceptual[j1, i0] + w11 * base.perceptual[j1, i1]
+                        lobes[count, ALPHA_SQUARED] = (r * r) * (r * r)
+                    else:
+                        for k in range(3):
+                            lobes[count, LOG_TENSOR + k] = _bilinear(
+                                base.log_roughness, i0, i1, j0, j1, k, w00, w10, w01, w11
+                            )
+                    lobes[count, SHAPE] = base.default_shape
+                    if base.has_shape:
+                        s = w00 * base.shape[j0, i0] + w10 * base.shape[j0, i1]
+                        lobes[count, SHAPE] = s + w01 * base.shape[j1, i0] + w11 * base.shape[j1, i1]
+                    for k in range(3):
+                        colour = _bilinear(base.specular, i0, i1, j0, j1, k, w00, w10, w01, w11)
+                        lobes[count, SPECULAR + k] = weight * colour
+                    lobes[count, MIXTURE] = weight
+                    lobes[count, SPREAD], lobes[count, SPREAD + 1], lobes[count, SPREAD + 2] = 0.0, 0.0, 0.0
+                    if spreads:
+                        trace = _spread(lobes, count, n00, n10, n01, n11, fx, fy, part_x / length, part_y / length)
+                        mean_spread += weight * min(trace / narrow, 1.0)
+                    if base.has_diffuse:
+                        for k in range(3):
+                            d = weight * _bilinear(base.diffuse, i0, i1, j0, j1, k, w00, w10, w01, w11)
+                            diffuse_moment[3 * k] += d * n0
+                            diffuse_moment[3 * k + 1] += d * n1
+                            diffuse_moment[3 * k + 2] += d * n2
+                    count += 1
+    return count, mean_spread
+
+
+@inline
+def _distance(a, b):
+    """Squared distance of two texels' normals."""
+    d_x, d_y, d_z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return d_x * d_x + d_y * d_y + d_z * d_z
+
+
+@inline
+def _narrowest(base, i0, i1, j0, j1):
+    """Smallest alpha^2 of the four texels of a bilinear patch."""
+    if base.isotropic:
+        r = min(
+            min(base.perceptual[j0, i0], base.perceptual[j0, i1]), min(base.perceptual[j1, i0], base.perceptual[j1, i1])
+        )
+        return (r * r) * (r * r)
+    least = 1e30
+    for k in range(4):
+        j, i = (j0 if k < 2 else j1), (i0 if k % 2 == 0 else i1)
+        a, b, c = base.log_roughness[j, i, 0], base.log_roughness[j, i, 1], base.log_roughness[j, i, 2]
+        least = min(least, min(a, b) - abs(c))
+    return math.exp(least)
+
+
+@inline
+def _spread(lobes, i, n00, n10, n01, n11, fx, fy, size_x, size_y):
+    """Note in SPREAD what the spread of normals across the sample's part adds to its tensor; returns the trace.
+
+    Across a part of a smooth normal field the slopes are spread evenly over a parallelogram with edges g_x and g_y, so
+    their covariance is (g_x g_x' + g_y g_y') / 12 and, to second order, the tensor grows by twice that: the rule of
+    LEAN (Olano and Baker 2010), within one part of one stratum.
+    """
+    t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(lobes[i, 0], lobes[i, 1], lobes[i, 2])
+    xx, yy, xy = 0.0, 0.0, 0.0
+    for axis in range(2):
+        f = fy if axis == 0 else fx
+        size = size_x if axis == 0 else size_y
+        a, b, c, d = (n00, n10, n01, n11) if axis == 0 else (n00, n01, n10, n11)
+        d_x = size * ((1.0 - f) * (b[0] - a[0]) + f * (d[0] - c[0]))
+        d_y = size * ((1.0 - f) * (b[1] - a[1]) + f * (d[1] - c[1]))
+        d_z = size * ((1.0 - f) * (b[2] - a[2]) + f * (d[2] - c[2]))
+        u, v = t_x * d_x + t_y * d_y + t_z * d_z, b_x * d_x + b_y * d_y + b_z * d_z
+        xx += u * u / 6.0
+        yy += v * v / 6.0
+        xy += u * v / 6.0
+    lobes[i, SPREAD], lobes[i, SPREAD + 1], lobes[i, SPREAD + 2] = xx, yy, xy
+    return xx + yy
 
 
 @inline

@@ -7,7 +7,7 @@ import math
 from brdffit._jit import inline, kernel
 from brdffit.halfangle.frame import eigen_log, tangent_frame
 from brdffit.halfangle.objective import PARAMETERS
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOG_TENSOR, MIXTURE, SHAPE
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOG_TENSOR, MIXTURE, SHAPE, SPREAD
 
 # A footprint whose normals differ by less than this share of the lobe's width is flat: e is below 1e-6 (60 dB).
 _FLAT_SHARE = 1e-3
@@ -118,51 +118,9 @@ def set_log_tensor(table, row, column, xx, yy, xy, isotropic):
 
 
 @kernel
-def coarse_share(lobes, count, isotropic, row_length):
-    """How coarsely the samples stand: (share of the reflected energy in samples from which the next one of the row or
-    column is a lobe's width away; mean squared step in units of the lobe's width, each counted as 1 at most).
-
-    Where the share is large, point samples would turn a smooth streak of normals into separate needles.
-    """
-    share, mean = 0.0, 0.0
+def widen_lobes(lobes, count, isotropic):
+    """Add to each lobe the SPREAD of its own part of the footprint; tensors become full ones, no longer isotropic."""
     for i in range(count):
-        _, _, _, width = tensor_of(lobes, i, isotropic)
-        step = 0.0
-        for k in (i + 1, i + row_length):
-            if k < count and (k != i + 1 or k % row_length != 0):
-                d_x, d_y, d_z = lobes[k, 0] - lobes[i, 0], lobes[k, 1] - lobes[i, 1], lobes[k, 2] - lobes[i, 2]
-                step = max(step, d_x * d_x + d_y * d_y + d_z * d_z)
-        mean += lobes[i, MIXTURE] * min(step / width, 1.0)
-        if step > width:
-            share += lobes[i, MIXTURE]
-    return share, mean
-
-
-@kernel
-def widen_lobes(lobes, count, isotropic, row_length):
-    """Give each sample the spread of normals inside its own stratum, which a point sample leaves out.
-
-    Across a stratum of a smooth normal field the slopes are spread evenly over a parallelogram with edges g_x and g_y,
-    so their covariance is (g_x g_x' + g_y g_y') / 12 and, to second order, the lobe's tensor grows by twice that (the
-    rule of LEAN, within one stratum). Half of the distance to the two neighbours' samples stands for each edge.
-    Tensors become full ones: the lobes are no longer isotropic.
-    """
-    rows = count // row_length
-    for i in range(count):
-        column, row = i % row_length, i // row_length
-        t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(lobes[i, 0], lobes[i, 1], lobes[i, 2])
         xx, yy, xy, _ = tensor_of(lobes, i, isotropic)
-        for axis in range(2):
-            stride, at, size = (1, column, row_length) if axis == 0 else (row_length, row, rows)
-            low = i - stride if at > 0 else i
-            high = i + stride if at < size - 1 else i
-            if low == high:
-                continue
-            scale = stride / (high - low)
-            d_x, d_y = scale * (lobes[high, 0] - lobes[low, 0]), scale * (lobes[high, 1] - lobes[low, 1])
-            d_z = scale * (lobes[high, 2] - lobes[low, 2])
-            u, v = t_x * d_x + t_y * d_y + t_z * d_z, b_x * d_x + b_y * d_y + b_z * d_z
-            xx += u * u / 6.0
-            yy += v * v / 6.0
-            xy += u * v / 6.0
+        xx, yy, xy = xx + lobes[i, SPREAD], yy + lobes[i, SPREAD + 1], xy + lobes[i, SPREAD + 2]
         set_log_tensor(lobes, i, LOG_TENSOR, xx, yy, xy, False)

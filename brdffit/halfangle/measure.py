@@ -80,7 +80,7 @@ def target_table(base, strata, points, column, row, exponent, lobes, nodes, work
     Where nothing is reflected T is 0, and <T,T> that of the same lobes in white: errors stay relative to something.
     """
     moment, starts = work[9:18], work[18 : 18 + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS)
-    count = gather_lobes(base, strata, column, row, lobes, moment)
+    count, _ = gather_lobes(base, strata, 0.0, column, row, lobes, moment)
     red, green, blue, some = normalise_mixture(lobes, count)
     closed_forms(lobes, count, base.isotropic, starts, False)
     add_defensive_lobe(

@@ -37,9 +37,10 @@ from brdffit.models.ggx import profile as ggx_profile
 real = np.float32
 
 # Columns of a lobe: normal; log tensor (a, b, c), or alpha^2 alone where the base is isotropic; shape; footprint weight
-# times specular RGB; mixture weight; K(shape) of the model's normalisation.
-NORMAL, LOG_TENSOR, ALPHA_SQUARED, SHAPE, SPECULAR, MIXTURE, NORMALISATION = 0, 3, 3, 6, 7, 10, 11
-LOBE_COLUMNS = 12
+# times specular RGB; mixture weight; K(shape) of the model's normalisation; what the spread of normals inside the
+# sample's own stratum adds to the tensor (xx, yy, xy).
+NORMAL, LOG_TENSOR, ALPHA_SQUARED, SHAPE, SPECULAR, MIXTURE, NORMALISATION, SPREAD = 0, 3, 3, 6, 7, 10, 11, 12
+LOBE_COLUMNS = 15
 
 # Rows of a node array.
 H_X, H_Y, H_Z, RED, GREEN, BLUE, DENSITY, WEIGHT = range(8)
