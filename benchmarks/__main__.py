@@ -1,0 +1,62 @@
+"""``python -m benchmarks [--quick] [--materials FOLDER] [-o FOLDER]``: run them, write the record, show the table."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from benchmarks import accuracy, integrals, scaling, speed, startup
+from benchmarks.record import ROOT, Section, as_markdown, as_record, machine
+
+CONCERNS = ("startup", "speed", "scaling", "integrals", "accuracy")
+
+
+@click.command()
+@click.option("--quick/--full", default=False, help="Three sets, few texels, small sizes: a few minutes.")
+@click.option(
+    "--materials",
+    type=click.Path(path_type=Path),
+    default=ROOT.parent / "shared" / "materials",
+    show_default=True,
+    help="Folder of real texture sets; the shipped sets stand in where it is missing.",
+)
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("bench"), show_default=True)
+@click.option("--only", type=click.Choice(CONCERNS), multiple=True, help="Some of them.")
+@click.option("--set", "sets", multiple=True, help="Accuracy of these sets alone.")
+def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets: tuple[str, ...]) -> None:
+    """Measure speed, memory, start-up and accuracy; bench.json and bench.md in the output folder."""
+
+    def tell(text: str) -> None:
+        click.echo(text, err=True)
+
+    about = machine()
+    about["mode"] = "quick" if quick else "full"
+    runs: dict[str, Callable[[], Section]] = {
+        "startup": lambda: startup.measure_startup(quick),
+        "speed": lambda: speed.measure_speed(materials, quick),
+        "scaling": lambda: scaling.measure_scaling(quick),
+        "integrals": lambda: integrals.measure_integrals(quick),
+        "accuracy": lambda: accuracy.measure_accuracy(materials, quick, tell, sets),
+    }
+    output.mkdir(parents=True, exist_ok=True)
+    sections: list[Section] = []
+    for name in only or CONCERNS:
+        start = time.perf_counter()
+        section = runs[name]()
+        section.seconds = round(time.perf_counter() - start, 1)
+        tell(f"{name}: {section.seconds:.0f} s")
+        sections.append(section)
+        if name == "accuracy":
+            sections.append(accuracy.with_means(section))
+        # After each, so that an interrupted run leaves what it had.
+        (output / "bench.json").write_text(json.dumps(as_record(about, sections), indent=1) + "\n", encoding="utf-8")
+        (output / "bench.md").write_text(as_markdown(about, sections), encoding="utf-8")
+    click.echo(as_markdown(about, sections))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,137 @@
+"""What a benchmark says: rows, targets met or missed, and the machine it ran on; as JSON and as Markdown."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import platform
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+_PACKAGES = ("numpy", "scipy", "numba", "nlopt", "OpenImageIO")
+
+
+@dataclass(frozen=True)
+class Target:
+    """A figure that the project holds itself to. ``passed`` is None where it was not measured."""
+
+    name: str
+    expected: str
+    found: str
+    passed: bool | None
+
+    @property
+    def verdict(self) -> str:
+        """PASS, MISS, or that it was not measured."""
+        return "not measured" if self.passed is None else "PASS" if self.passed else "MISS"
+
+
+@dataclass
+class Section:
+    """One concern: what was measured and how, its rows (all with the same keys) and its targets."""
+
+    name: str
+    title: str
+    note: str
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    targets: list[Target] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+def machine() -> dict[str, Any]:
+    """Machine, processor, versions, commit and date, for the record."""
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": _commit(),
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "load_at_start": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "python": platform.python_version(),
+        **{name: _version(name) for name in _PACKAGES},
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _commit() -> str:
+    """Short commit of the checkout, with "+" where files differ from it."""
+    try:
+        head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
+        changed = subprocess.run(
+            ["git", "status", "--porcelain", "--untracked-files=no"], cwd=ROOT, capture_output=True, text=True
+        )
+    except OSError:
+        return "unknown"
+    return (head.stdout.strip() or "unknown") + ("+" if changed.stdout.strip() else "")
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or "unknown"
+
+
+def as_record(about: dict[str, Any], sections: Sequence[Section]) -> dict[str, Any]:
+    """Everything, for JSON."""
+    found = []
+    for section in sections:
+        record = dataclasses.asdict(section)
+        record["targets"] = [dataclasses.asdict(t) | {"verdict": t.verdict} for t in section.targets]
+        found.append(record)
+    return {"machine": about, "sections": found}
+
+
+def as_markdown(about: dict[str, Any], sections: Sequence[Section]) -> str:
+    """Everything, for reading; the targets of all sections come last."""
+    lines = ["# Benchmarks", "", ", ".join(f"{key} {value}" for key, value in about.items()), ""]
+    for section in sections:
+        lines += [f"## {section.title}", "", section.note, "", *table(section.rows), ""]
+        lines += [f"- {problem}" for problem in section.problems] + ([""] if section.problems else [])
+    targets = [
+        {"target": t.name, "expected": t.expected, "found": t.found, "": t.verdict} for s in sections for t in s.targets
+    ]
+    return "\n".join([*lines, "## Targets", "", *table(targets), ""])
+
+
+def table(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Lines of a Markdown table, numbers to the right."""
+    if not rows:
+        return ["(nothing measured)"]
+    names = list(rows[0])
+    cells = [[_cell(row.get(name)) for name in names] for row in rows]
+    widths = [max(3, len(name), *(len(line[i]) for line in cells)) for i, name in enumerate(names)]
+    right = [any(isinstance(row.get(name), int | float) for row in rows) for name in names]
+    align = [str.rjust if r else str.ljust for r in right]
+
+    def line(values: Sequence[str]) -> str:
+        return "| " + " | ".join(a(v, w) for a, v, w in zip(align, values, widths, strict=True)) + " |"
+
+    rule = "|" + "|".join("-" * (w + 1) + (":" if r else "-") for w, r in zip(widths, right, strict=True)) + "|"
+    return [line(names), rule, *(line(each) for each in cells)]
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    if isinstance(value, int) or abs(value) >= 1e4:
+        return f"{value:,.0f}"
+    return f"{value:.2f}" if abs(value) >= 0.1 or value == 0 else f"{value:.2e}"
