@@ -1,6 +1,6 @@
 # Every target sets up what it needs: `make bake` and `make test` work on a fresh clone.
 PYTHON ?= python3
-SET ?= data/sets/hammered-metal
+SET ?= data/sets/grooved-record
 OUT ?= out
 OPTIONS ?=
 VENV := .venv
@@ -40,9 +40,9 @@ bake: install $(if $(filter data/sets/%,$(SET)),data/sets/made)
 	$(BIN)/brdffit bake "$(SET)" -o "$(OUT)" --show $(OPTIONS)
 
 picture: data/sets/made
-	$(BIN)/brdffit bake data/sets/hammered-metal -o out/picture
+	$(BIN)/brdffit bake data/sets/grooved-record --wrap clamp -o out/picture
 	mkdir -p docs
-	cp out/picture/hammered-metal/preview.png docs/preview.png
+	cp out/picture/grooved-record/preview.png docs/preview.png
 
 # pytest itself fails when no test ran.
 test: install
