@@ -33,6 +33,14 @@ def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets
     def tell(text: str) -> None:
         click.echo(text, err=True)
 
+    def save(section: Section) -> None:
+        """Written as it grows, so that an interrupted run leaves what it had."""
+        shown = [*sections, section, *([accuracy.with_means(section)] if section.name == "accuracy" else [])]
+        (output / "bench.json").write_text(json.dumps(as_record(about, shown), indent=1) + "\n", encoding="utf-8")
+        (output / "bench.md").write_text(as_markdown(about, shown), encoding="utf-8")
+        if section.name == "accuracy" and section.rows:
+            tell(f"accuracy: {section.rows[-1]['set']}")
+
     about = machine()
     about["mode"] = "quick" if quick else "full"
     runs: dict[str, Callable[[], Section]] = {
@@ -40,7 +48,7 @@ def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets
         "speed": lambda: speed.measure_speed(materials, quick),
         "scaling": lambda: scaling.measure_scaling(quick),
         "integrals": lambda: integrals.measure_integrals(quick),
-        "accuracy": lambda: accuracy.measure_accuracy(materials, quick, tell, sets),
+        "accuracy": lambda: accuracy.measure_accuracy(materials, quick, save, sets),
     }
     output.mkdir(parents=True, exist_ok=True)
     sections: list[Section] = []
@@ -48,13 +56,11 @@ def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets
         start = time.perf_counter()
         section = runs[name]()
         section.seconds = round(time.perf_counter() - start, 1)
+        save(section)
         tell(f"{name}: {section.seconds:.0f} s")
         sections.append(section)
         if name == "accuracy":
             sections.append(accuracy.with_means(section))
-        # After each, so that an interrupted run leaves what it had.
-        (output / "bench.json").write_text(json.dumps(as_record(about, sections), indent=1) + "\n", encoding="utf-8")
-        (output / "bench.md").write_text(as_markdown(about, sections), encoding="utf-8")
     click.echo(as_markdown(about, sections))
 
 

@@ -33,9 +33,12 @@ _EQUAL = 0.005
 
 
 def measure_accuracy(
-    materials: Path, quick: bool, tell: Callable[[str], object] = lambda _: None, only: tuple[str, ...] = ()
+    materials: Path, quick: bool, save: Callable[[Section], object] = lambda _: None, only: tuple[str, ...] = ()
 ) -> Section:
-    """SNR in dB of every method and of the oracle, on random texels of every level of every set."""
+    """SNR in dB of every method and of the oracle, on random texels of every level of every set.
+
+    ``save`` is called after each set with what there is: a full run takes long. ``only``: these sets.
+    """
     texels = 60 if quick else 200
     section = Section(
         "accuracy",
@@ -53,8 +56,8 @@ def measure_accuracy(
             section.problems.append(f"{name}: {svbrdf}")
             continue
         section.rows += compare_set(name, svbrdf, texels, ("standard",) if quick else ("draft", "standard", "fine"))
-        tell(f"accuracy: {name}")
-    section.targets = targets(section.rows)
+        section.targets = targets(section.rows)
+        save(section)
     return section
 
 
