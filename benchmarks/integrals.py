@@ -105,7 +105,7 @@ def _by_chance(
     """Plain Monte Carlo over l and v."""
     start = time.perf_counter()
     lobes = np.zeros((_samples(strata) + 1, LOBE_COLUMNS))
-    count = gather_lobes(base, strata, column, row, lobes, np.zeros(9))
+    count, _ = gather_lobes(base, strata, 0.0, column, row, lobes, np.zeros(9))
     lobes = lobes[:count]
     random = np.random.default_rng((column, row))
     total = squared = 0.0
