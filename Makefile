@@ -40,7 +40,7 @@ bake: install $(if $(filter data/sets/%,$(SET)),data/sets/made)
 	$(BIN)/brdffit bake "$(SET)" -o "$(OUT)" --show $(OPTIONS)
 
 picture: data/sets/made
-	$(BIN)/brdffit bake data/sets/grooved-record --wrap clamp -o out/picture
+	$(BIN)/brdffit bake data/sets/grooved-record -o out/picture
 	mkdir -p docs
 	cp out/picture/grooved-record/preview.png docs/preview.png
 

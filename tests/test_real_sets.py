@@ -13,7 +13,7 @@ import pytest
 from brdffit import bake
 from brdffit.baking import bake_to_folder
 from brdffit.errors import InputError
-from brdffit.methods import QUALITIES, get_method, method_names
+from brdffit.methods import QUALITIES, method_names
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, tensor_from_log
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.image_io import read_mip_exr
