@@ -83,7 +83,7 @@ def test_the_protocol_is_quoted_as_it_is():
 
 
 def test_tables_name_every_preset_and_quality():
-    rows = {name: row for name, row in re.findall(r"^\| `([\w-]+)` \|(.*)\|$", TEXT, re.M)}
+    rows = {name: row for name, row in re.findall(r"^\| `(\w[\w-]*)` \|(.*)\|$", TEXT, re.M)}
     assert set(rows) == {*preset_names(), *QUALITIES}
     for name in preset_names():
         preset, cells = get_preset(name), [cell.strip() for cell in rows[name].split("|")]
