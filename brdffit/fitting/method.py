@@ -124,7 +124,7 @@ def _search(options: BakeOptions, quality: Quality, base: Base, source: Model, t
         same_model=source.name == target.name,
         trusted=quality.trusted,
         negligible=quality.negligible,
-        crowd=4 * quality.least**2,
+        crowd=4,
     )
 
 

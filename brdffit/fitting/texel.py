@@ -76,7 +76,7 @@ class Search(NamedTuple):
     still promise; ``starts``: how many are followed to the end; bounds of the log eigenvalues and of the shape;
     ``same_model``: base and pyramid share a lobe model; ``trusted``: largest disagreement of two half rules, as a share
     of the residual, that is not refined; ``negligible``: disagreement (relative squared error) that never is;
-    ``crowd``: lobes in a footprint above which the first rule is passed over.
+    ``crowd``: samples a stratum, in the mean, above which the first rule is passed over.
     """
 
     free: int
@@ -225,7 +225,7 @@ def fit_texel(
     start = scratch.starts[LEAN]
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
-    tier = 1 if count > search.crowd else 0
+    tier = 1 if count > search.crowd * strata.x.size * strata.y.size else 0
     while True:
         rule = rules[tier]
         place_nodes(lobes, count, lobes_isotropic, rule.points, search.exponent, rule.nodes, scratch.work)
