@@ -155,7 +155,9 @@ def test_tensor_and_logarithm_round_trip(ratio, real):
     rng = np.random.default_rng(10)
     angle = np.concatenate([rng.uniform(0, math.pi, 500), [0, math.pi / 2, math.pi / 4]])
     alpha2 = np.exp(rng.uniform(-12, 0, len(angle)))
-    log_tensor = np.array([log_tensor_of(math.sqrt(m), math.sqrt(m / ratio), f) for m, f in zip(alpha2, angle)])
+    log_tensor = np.array(
+        [log_tensor_of(math.sqrt(m), math.sqrt(m / ratio), f) for m, f in zip(alpha2, angle, strict=True)]
+    )
     log_tensor = log_tensor.astype(real)
     sigma = tensor_from_log(log_tensor)
     assert sigma.dtype == real
