@@ -78,10 +78,6 @@ def compare(svbrdf: Svbrdf, level: Svbrdf, column: int, row: int, pairs: int) ->
     return chance, _by_integral(base, strata, column, row, theta, scale)
 
 
-def _samples(strata: Strata) -> int:
-    return len(strata.x) * len(strata.y)
-
-
 def _by_integral(base: Base, strata: Strata, column: int, row: int, theta: NDArray, scale: NDArray) -> Estimate:
     kernels = model_kernels("ggx", "ggx")
     points = lattice(_NODES)
@@ -93,7 +89,7 @@ def _by_integral(base: Base, strata: Strata, column: int, row: int, theta: NDArr
         measure_rows(base, strata, points, *at, 3, theta[None], scale[None], error, energy, kernels.tabulate,
                      kernels.values, kernels.log_normalisation, kernels.source_log_normalisation)  # fmt: skip
         seconds.append(time.perf_counter() - start)
-    lobes, nodes = np.zeros((_samples(strata) + 1, LOBE_COLUMNS)), np.zeros((NODE_ROWS, _NODES), np.float32)
+    lobes, nodes = np.zeros((strata.samples + 1, LOBE_COLUMNS)), np.zeros((NODE_ROWS, _NODES), np.float32)
     norm = target_table(base, strata, points, column, row, 3, lobes, nodes, np.zeros(64), kernels.tabulate,
                         kernels.source_log_normalisation)[3]  # fmt: skip
     return Estimate(float(error[0, 0] * norm), 0.0, sorted(seconds[1:])[1])
@@ -104,7 +100,7 @@ def _by_chance(
 ) -> Estimate:
     """Plain Monte Carlo over l and v."""
     start = time.perf_counter()
-    lobes = np.zeros((_samples(strata) + 1, LOBE_COLUMNS))
+    lobes = np.zeros((strata.samples + 1, LOBE_COLUMNS))
     count, _ = gather_lobes(base, strata, 0.0, column, row, lobes, np.zeros(9))
     lobes = lobes[:count]
     random = np.random.default_rng((column, row))

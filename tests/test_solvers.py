@@ -4,16 +4,18 @@ import numpy as np
 import pytest
 
 from brdffit.fitting.batch import model_kernels
+from brdffit.fitting.method import _search
+from brdffit.fitting.presets import get_quality
 from brdffit.fitting.solvers import ORACLE_NODES, Problem, oracle, solve_nlopt, solve_scipy
-from brdffit.fitting.texel import Search
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.measure import DENSE_SAMPLES, dense_strata, measure_lobes, snr
 from brdffit.halfangle.quadrature import lattice
+from brdffit.methods import BakeOptions
+from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf
 
 SIZE, LEVEL = (16, 16), (4, 4)
 COLUMNS, ROWS = np.array([0, 1, 2, 3]), np.array([0, 2, 1, 3])
-LOW = 4.0 * np.log(0.045)
 
 #: Two optimisers at one minimum, in dB: what float32 sums of the error leave open.
 SOLVERS_AGREE = 0.01
@@ -21,9 +23,10 @@ SOLVERS_AGREE = 0.01
 RULE_TRUSTED = 0.05
 
 
-def search(free=3):
-    """The settings of a standard GGX fit."""
-    return Search(free, False, 3, 2e-3, 40, 1, LOW, 0.0, 0.0, 0.0, True, 0.15, 0.1, 1e-4, 2)
+def search(**options):
+    """The settings of a standard fit of a GGX base."""
+    ggx = get_model("ggx")
+    return _search(BakeOptions(**options), get_quality("standard"), base_of(bumpy()), ggx, ggx)
 
 
 def bumpy(spread=0.15, roughness=0.3, seed=3):
@@ -89,7 +92,7 @@ def test_a_flat_base_is_recovered(kernels):
 
 
 def test_an_isotropic_search_stays_isotropic(kernels):
-    found = ask(bumpy(), kernels, search=search(free=1))
+    found = ask(bumpy(), kernels, search=search(lobe="isotropic", normal="mean"))
     assert found.theta[:, 2] == pytest.approx(found.theta[:, 3])
     assert found.theta[:, 4] == pytest.approx(np.zeros(4))
 
