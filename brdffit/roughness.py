@@ -78,7 +78,8 @@ def log_from_tensor(tensor: NDArray) -> NDArray:
     t = 0.5 * np.log(det)
     ratio = s / mean
     with np.errstate(divide="ignore", invalid="ignore"):
-        quotient = np.where(ratio > 1e-6, np.arctanh(np.minimum(ratio, 1.0 - 1e-16)) / np.where(s > 0, s, 1.0), 1.0 / mean)
+        exact = np.arctanh(np.minimum(ratio, 1.0 - 1e-16)) / np.where(s > 0, s, 1.0)
+        quotient = np.where(ratio > 1e-6, exact, 1.0 / mean)
     return np.stack([t + quotient * half, t - quotient * half, quotient * c], axis=-1).astype(tensor.dtype, copy=False)
 
 

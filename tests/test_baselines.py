@@ -1,4 +1,4 @@
-"""Laws of the baselines: constants, limits, symmetries, definiteness, and the hard cases; LEAN against sampled lobes."""
+"""Laws of the baselines: constants, limits, symmetries, definiteness, hard cases; LEAN against sampled lobes."""
 
 import itertools
 

@@ -250,3 +250,22 @@ def test_inspect_of_what_cannot_be_baked_exits_with_1(run, tmp_path):
 def test_the_console_script_points_here():
     (script,) = [point for point in importlib.metadata.entry_points(group="console_scripts") if point.name == "brdffit"]
     assert script.load() is main
+
+
+def test_a_picture_is_drawn_in_a_terminal_without_a_screen_and_nowhere_else(tmp_path, monkeypatch, capsys):
+    from brdffit import console
+
+    path = tmp_path / "preview.png"
+    red_over_blue = np.zeros((4, 4, 3), np.uint8)
+    red_over_blue[:2, :, 0], red_over_blue[2:, :, 2] = 255, 255
+    write_png(path, red_over_blue)
+    console.show_picture(path)
+    assert capsys.readouterr().out == ""
+    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(console.sys, "platform", "linux")
+    terminal = console.Console(force_terminal=True, color_system="truecolor", width=2)
+    monkeypatch.setattr(console, "_console", lambda: terminal)
+    console.show_picture(path)
+    # One row of two half blocks: each is red above and blue below.
+    assert capsys.readouterr().out.count("38;2;255;0;0;48;2;0;0;255m\u2580") == 2

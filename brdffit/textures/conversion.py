@@ -92,8 +92,8 @@ def _check_normals(named: Map, pixels: NDArray, vectors: NDArray, two_channel: b
     for how, value in _SRGB_MEANS.items():
         if abs(red - value) < 0.04 and abs(green - value) < 0.04 and blue > 0.7:
             raise InputError(
-                f"'{named.path}' looks like a normal map that was {how} sRGB (red and green have the means {red:.2f} and "
-                f"{green:.2f}), expected linear data with means near 0.50."
+                f"'{named.path}' looks like a normal map that was {how} sRGB (red and green have the means {red:.2f} "
+                f"and {green:.2f}), expected linear data with means near 0.50."
             )
     mean = vectors.reshape(-1, vectors.shape[2]).mean(axis=0, dtype=np.float64)
     z = float(encoding.rebuild_z(vectors[:, :, :2]).mean()) if two_channel else float(mean[2])
@@ -129,7 +129,8 @@ def _normal_and_height(texture_set: TextureSet) -> tuple[NDArray, NDArray | None
         texture_set.note(f"'{file}' has {counts['zero']} vectors of no length in {total} texels: they point along z.")
     if counts["horizon"]:
         texture_set.note(
-            f"'{file}' has {counts['horizon']} normals at or below the horizon in {total} texels: they are lifted to it."
+            f"'{file}' has {counts['horizon']} normals at or below the horizon in {total} texels: "
+            "they are lifted to it."
         )
     if normals.shape[:2] != texture_set.size and normals.shape[:2] != (1, 1):
         normals, _ = encoding.unit_normals(encoding.resample(normals, texture_set.size, texture_set.wrap))

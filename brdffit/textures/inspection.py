@@ -137,8 +137,8 @@ def _look_at_map(inspection: Inspection, texture_set: TextureSet, role: str) -> 
         kept = float(encoding.subtract_noise_floor(xy, noise, texture_set.wrap).std(axis=(0, 1)).max())
         if kept < 0.1 * noise.step:
             inspection.wrong.append(
-                f"'{named.path.name}' is flat: it only dithers between neighbouring codes of its {named.info.bits} bits "
-                f"(standard deviation {spread / noise.step:.1f} codes), and is read as flat."
+                f"'{named.path.name}' is flat: it only dithers between neighbouring codes of its {named.info.bits} "
+                f"bits (standard deviation {spread / noise.step:.1f} codes), and is read as flat."
             )
     agreement, evidence = normal_y_agreement(texture_set)
     stored = "gl" if agreement > 0.0 else "dx"
@@ -167,8 +167,8 @@ def _gather(inspection: Inspection, texture_set: TextureSet, svbrdf: Svbrdf) -> 
     steep = float(np.mean(np.square(slope).sum(axis=2) > STEEP_SLOPE**2))
     if steep > STEEP_SHARE:
         inspection.wrong.append(
-            f"{steep:.1%} of the normals are steeper than {np.degrees(np.arctan(STEEP_SLOPE)):.0f} degrees: methods that "
-            f"average slopes (LEAN) will suffer from them."
+            f"{steep:.1%} of the normals are steeper than {np.degrees(np.arctan(STEEP_SLOPE)):.0f} degrees: methods "
+            f"that average slopes (LEAN) will suffer from them."
         )
     tilt = float(np.degrees(np.arctan2(np.hypot(mean[0], mean[1]), mean[2])))
     if tilt > TILT_DEGREES:

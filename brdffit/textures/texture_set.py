@@ -270,8 +270,8 @@ def _check_sizes(texture_set: TextureSet, path: Path) -> None:
             and abs(height - full_height * width / full_width) > 1.0
         ):
             raise InputError(
-                f"The maps of '{path}' cannot belong together: '{named.path.name}' is {width}x{height} where the largest "
-                f"map is {full_width}x{full_height}, expected the same proportions."
+                f"The maps of '{path}' cannot belong together: '{named.path.name}' is {width}x{height} where the "
+                f"largest map is {full_width}x{full_height}, expected the same proportions."
             )
     different = sorted({f"{w}x{h}" for h, w in sizes.values()})
     if len(different) > 1:
