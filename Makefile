@@ -25,6 +25,7 @@ install: $(VENV)/installed
 # Its age is that of what it was made from: a changed list of dependencies installs again.
 $(VENV)/installed: setup.cfg pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "brdffit needs Python 3.11 or later: make PYTHON=python3.11")'
+	@echo "Setting up the environment in $(VENV): a few minutes, once."
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	touch $@
