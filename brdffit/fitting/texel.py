@@ -64,6 +64,8 @@ REPORT = FILTERED + 3
 
 # A mean spread below this (in units of the lobe's width) changes a lobe by less than 1%: the cheaper table will do.
 _NARROW_SPREAD = 0.01
+# Relative squared error (8 dB) at which a search is not believed to have found the best lobe.
+_POOR = 0.15
 # Squared cosine between the colour that a target was aimed with and the best scale's, above which they are the same.
 _SAME_COLOUR = 0.999
 
@@ -248,6 +250,10 @@ def fit_texel(
     if not some:
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         return NO_SPECULAR
+    if search.held and report[FILTERED] + report[FILTERED + 1] + report[FILTERED + 2] <= 0.0:
+        # Negative filter weights leave no colour to hold: black, and all of the target is missed.
+        report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
+        report[RESIDUAL] = 1.0
     return status
 
 
@@ -284,14 +290,20 @@ def fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, l
             report[EVALUATIONS] += evaluations + 1
             clamp_to_domain(theta, search)
             settle_scale(theta, nodes, setting, values_kernel, log_normalisation, rule.values, work, report)
-    return status if math.isfinite(report[RESIDUAL]) else FALLBACK
+    if not math.isfinite(report[RESIDUAL]):
+        report[RESIDUAL] = 1.0
+        return FALLBACK
+    return status
 
 
 @kernel
 def search_from_starts(scratch, nodes, search, follow, moments_kernel, log_normalisation):
-    """BFGS from the first ``follow`` starts; the best end is left in scratch.theta. Returns its status."""
+    """BFGS from the first ``follow`` starts, and from more while the best end is poor; it is left in scratch.theta.
+
+    Returns its status.
+    """
     starts, theta, work, setting = scratch.starts, scratch.theta, scratch.work, scratch.setting
-    if search.free & FREE_NORMAL and follow > PEAK:
+    if search.free & FREE_NORMAL:
         red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
         top, highest = 0, real(0.0)
         for j in range(nodes.shape[1]):
@@ -303,7 +315,10 @@ def search_from_starts(scratch, nodes, search, follow, moments_kernel, log_norma
             starts[PEAK, 0] = -nodes[H_X, top] / nodes[H_Z, top]
             starts[PEAK, 1] = -nodes[H_Y, top] / nodes[H_Z, top]
     best_value, best_status = 1e30, FALLBACK
-    for i in range(follow):
+    for i in range(STARTS):
+        # A start too wide for its target sits on a plateau: it "converges" at once, at a large error. Try the next.
+        if i >= follow and 1.0 + best_value < _POOR:
+            break
         clamp_to_domain(starts[i], search)
         for p in range(PARAMETERS):
             scratch.start[p] = starts[i, p]
