@@ -1,4 +1,4 @@
-"""Laws of the nonlinear fit: what it must find exactly, symmetries, options, and that texels do not know of each other."""
+"""Laws of the nonlinear fit: what it must find exactly, symmetries, options; texels do not know of each other."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,7 @@ def test_constant_material_is_returned_exactly(model, pixel_filter):
 
 @models
 def test_single_lobe_is_found_by_search(model):
-    """Colours that vary let nothing be flat about the texels, yet one lobe is exact: an anisotropic base is searched."""
+    """An anisotropic base is always searched; where all its lobes are one, that one is the answer."""
     if get_model(model).isotropic:
         pytest.skip("an isotropic model has no anisotropic base")
     base = surface(slopes=(0.2, 0.1), model=model)
