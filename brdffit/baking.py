@@ -28,7 +28,7 @@ from brdffit.textures.presets import get_preset
 from brdffit.textures.texture_set import TextureSet, read_texture_set
 
 #: Random texels of a level, nodes and samples an axis of what the manifest reports.
-_REPORT_TEXELS, _REPORT_NODES, _REPORT_SAMPLES = 128, 1024, (16, 32)
+_REPORT_TEXELS, _REPORT_NODES, _REPORT_SAMPLES = 64, 1024, (16, 96)
 
 Source = str | os.PathLike[str] | TextureSet | Svbrdf
 

@@ -27,7 +27,7 @@ from brdffit.fitting.texel import REPORT, RESIDUAL, TARGET_NORM, Search, aim, se
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
 from brdffit.halfangle.closed_forms import PEAK, STARTS, STEEPEST_SLOPE
-from brdffit.halfangle.measure import DENSE_SAMPLES, dense_strata, target_table
+from brdffit.halfangle.measure import DENSE_ROOM, DENSE_SAMPLES, dense_strata, target_table
 from brdffit.halfangle.objective import HELD, PARAMETERS, evaluate
 from brdffit.halfangle.quadrature import BLUE, GREEN, H_X, H_Y, H_Z, LOBE_COLUMNS, NODE_ROWS, RED, WEIGHT, lattice
 
@@ -61,7 +61,7 @@ class Problem:
     def __init__(self, strata: Strata, points: NDArray, search: Search, kernels: ModelKernels) -> None:
         self.search, self.kernels, self.strata, self.points = search, kernels, strata, points
         size = points.shape[1]
-        self.lobes = np.zeros((strata.samples + 1, LOBE_COLUMNS))
+        self.lobes = np.zeros((DENSE_ROOM * strata.samples + 1, LOBE_COLUMNS))
         self.nodes = np.zeros((NODE_ROWS, size), np.float32)
         self.values = np.zeros(size, np.float32)
         self.work, self.scratch, self.report = np.zeros(64), np.zeros(48), np.zeros(REPORT)

@@ -10,12 +10,13 @@ The rule has many more nodes and strata than any fit uses, another shift of the 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit._jit import kernel
+from brdffit._jit import kernel, numba_type, types
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import (
     Base,
@@ -26,8 +27,8 @@ from brdffit.halfangle.apparent_lobe import (
     normalise_shapes,
     strata,
 )
-from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, LEAN, STARTS, closed_forms
-from brdffit.halfangle.objective import PARAMETERS
+from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, LEAN, STARTS, closed_forms, widen_lobes
+from brdffit.halfangle.objective import PARAMETERS, lobe_values_type, log_normalisation_type
 from brdffit.halfangle.quadrature import (
     BLUE,
     GREEN,
@@ -37,6 +38,7 @@ from brdffit.halfangle.quadrature import (
     WEIGHT,
     lattice,
     place_nodes,
+    tabulate_type,
     weigh_nodes,
 )
 from brdffit.methods import Level
@@ -45,6 +47,11 @@ from brdffit.svbrdf import Svbrdf
 #: Nodes of the dense rule and samples of a footprint along one axis, at least and at most.
 DENSE_NODES = 4096
 DENSE_SAMPLES = (32, 128)
+#: Lobe widths that the normal may turn from one sample to the next, and room for cut strata, times the samples.
+DENSE_STEP, DENSE_ROOM = 0.7, 3
+
+# A mean spread inside the strata below this, in units of the lobe's width, is left out.
+_NARROW_SPREAD = 0.002
 
 _SHIFT = (0.25, 0.137, 0.719)
 
@@ -68,7 +75,7 @@ def dense_strata(
     """Strata of the dense rule: four samples a texel and axis, at least and at most ``samples`` an axis."""
     chosen = get_pixel_filter(pixel_filter)
     width = 2.0 * chosen.radius * max(base_size[0] / level_size[0], base_size[1] / level_size[1])
-    per_texel = max(4, math.ceil(samples[0] / width))
+    per_texel = max(4, 2 * math.ceil(0.5 * samples[0] / width))
     return strata(chosen, base_size, level_size, per_texel, samples[1], seed=20231)
 
 
@@ -80,16 +87,20 @@ def target_table(base, strata, points, column, row, exponent, lobes, nodes, work
     Where nothing is reflected T is 0, and <T,T> that of the same lobes in white: errors stay relative to something.
     """
     moment, starts = work[9:18], work[18 : 18 + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS)
-    count, _ = gather_lobes(base, strata, 0.0, column, row, lobes, moment)
+    count, spread = gather_lobes(base, strata, DENSE_STEP, column, row, lobes, moment)
     red, green, blue, some = normalise_mixture(lobes, count)
-    closed_forms(lobes, count, base.isotropic, starts, False)
+    isotropic = base.isotropic
+    if spread > _NARROW_SPREAD:
+        widen_lobes(lobes, count, isotropic)
+        isotropic = False
+    closed_forms(lobes, count, isotropic, starts, False)
     add_defensive_lobe(
         lobes, count, DEFENSIVE_SHARE, starts[LEAN, 0], starts[LEAN, 1], min(starts[LEAN, 2], 0.0),
         min(starts[LEAN, 3], 0.0), starts[LEAN, 4],
     )  # fmt: skip
-    place_nodes(lobes, count, base.isotropic, points, exponent, nodes, work)
+    place_nodes(lobes, count, isotropic, points, exponent, nodes, work)
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
-    tabulate_kernel(lobes, count, base.isotropic, base.grey, nodes, work)
+    tabulate_kernel(lobes, count, isotropic, base.grey, nodes, work)
     weigh_nodes(nodes)
     norm = 0.0
     for j in range(nodes.shape[1]):
@@ -104,7 +115,7 @@ def measure_rows(base, strata, points, columns, rows, exponent, theta, scale, er
                  tabulate_kernel, values_kernel, log_normalisation, source_log_normalisation):  # fmt: skip
     """Error and energy of lobes theta (M, n, 6), scale (M, n, 3) at n texels; into error and energy (M, n)."""
     count = strata.x.size * strata.y.size
-    lobes = np.zeros((count + 1, LOBE_COLUMNS))
+    lobes = np.zeros((DENSE_ROOM * count + 1, LOBE_COLUMNS))
     nodes = np.zeros((NODE_ROWS, points.shape[1]), np.float32)
     values = np.zeros(points.shape[1], np.float32)
     work = np.zeros(64)
@@ -129,6 +140,20 @@ def measure_rows(base, strata, points, columns, rows, exponent, theta, scale, er
             error[m, i] = total / norm if norm > 0.0 else 0.0
             mean = red + green + blue
             energy[m, i] = (scale[m, i, 0] + scale[m, i, 1] + scale[m, i, 2]) / mean if mean > 0.0 else 1.0
+
+
+@cache
+def _measuring_kernel() -> Any:
+    """``measure_rows`` compiled for function-typed arguments: once for all models, kept on disk."""
+    image, plane, line = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32), np.zeros(1)
+    base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, False, True)
+    rule = Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0)
+    index, triple, figures = np.zeros(1, np.int64), np.zeros((1, 1, 1)), np.zeros((1, 1))
+    data = (base, rule, lattice(1), index, index, 3, triple, triple, figures, figures)
+    functions = (tabulate_type(types.float32), lobe_values_type(types.float32), *(log_normalisation_type,) * 2)
+    measure_rows.compile((*map(numba_type, data), *functions))
+    measure_rows.disable_compile()
+    return measure_rows
 
 
 def lobe_parameters(svbrdf: Svbrdf, columns: NDArray, rows: NDArray, default_shape: float = 0.0) -> NDArray:
@@ -169,7 +194,7 @@ def measure_lobes(base: Base, base_size: tuple[int, int], level_size: tuple[int,
     error = np.zeros(theta.shape[:2])
     energy = np.zeros(theta.shape[:2])
     rule = dense_strata(base_size, level_size, pixel_filter, samples)
-    measure_rows(base, rule, lattice(nodes, _SHIFT), columns, rows, exponent, theta, scale, error, energy,
+    _measuring_kernel()(base, rule, lattice(nodes, _SHIFT), columns, rows, exponent, theta, scale, error, energy,
                  kernels.tabulate, kernels.values, kernels.log_normalisation,
                  kernels.source_log_normalisation)  # fmt: skip
     return Measured(error, energy)
