@@ -227,24 +227,26 @@ def fit_texel(
     start = scratch.starts[LEAN]
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
-    tier = 1 if count > search.crowd * strata.x.size * strata.y.size else 0
-    while True:
-        rule = rules[tier]
-        place_nodes(lobes, count, lobes_isotropic, rule.points, search.exponent, rule.nodes, scratch.work)
-        tabulate_kernel(lobes, count, lobes_isotropic, base.grey, rule.nodes, scratch.work)
-        weigh_nodes(rule.nodes)
-        for k in range(3):
-            colour[k] = report[FILTERED + k]
-        if not some or colour[0] + colour[1] + colour[2] <= 0.0:
-            colour[0] = colour[1] = colour[2] = 1.0
-        # A refined texel has separated peaks more often than not: the highest is worth a search of its own.
-        follow = min(search.starts + (1 if tier > 0 else 0), STARTS)
-        status = fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, log_normalisation)
-        if tier == len(rules) - 1:
-            break
-        if report[DISAGREEMENT] <= search.trusted * report[RESIDUAL] + search.negligible:
-            break
-        tier += 1
+    tier, status = 0, FALLBACK
+    doubtful = True
+    if count <= search.crowd * strata.x.size * strata.y.size:
+        status = fit_by_rule(
+            base, lobes, count, lobes_isotropic, some, scratch, rules[0], search, 0,
+            tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
+        )  # fmt: skip
+        doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + search.negligible
+    if doubtful:
+        tier = 1
+        status = fit_by_rule(
+            base, lobes, count, lobes_isotropic, some, scratch, rules[1], search, 1,
+            tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
+        )  # fmt: skip
+        if report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + search.negligible:
+            tier = 2
+            status = fit_by_rule(
+                base, lobes, count, lobes_isotropic, some, scratch, rules[2], search, 1,
+                tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
+            )  # fmt: skip
     if status == CONVERGED and tier > 0:
         status = REFINED
     if not some:
@@ -255,6 +257,25 @@ def fit_texel(
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         report[RESIDUAL] = 1.0
     return status
+
+
+@kernel
+def fit_by_rule(
+    base, lobes, count, lobes_isotropic, some, scratch, rule, search, more_starts,
+    tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
+):  # fmt: skip
+    """Place the nodes of one rule, fill its table and fit. Returns a status."""
+    place_nodes(lobes, count, lobes_isotropic, rule.points, search.exponent, rule.nodes, scratch.work)
+    tabulate_kernel(lobes, count, lobes_isotropic, base.grey, rule.nodes, scratch.work)
+    weigh_nodes(rule.nodes)
+    colour = scratch.colour
+    for k in range(3):
+        colour[k] = scratch.report[FILTERED + k]
+    if not some or colour[0] + colour[1] + colour[2] <= 0.0:
+        colour[0] = colour[1] = colour[2] = 1.0
+    # A refined texel has separated peaks more often than not: the highest is worth a search of its own.
+    follow = min(search.starts + more_starts, STARTS)
+    return fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, log_normalisation)
 
 
 @kernel

@@ -158,6 +158,8 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
     size_y = strata.y[1] - strata.y[0] if strata.y.size > 1 else 0.0
     jittered = strata.jitter_x > 0.0 or strata.jitter_y > 0.0
     cut = step > 0.0 and not jittered
+    # Normals of a bilinear patch, n00 n10 n01 n11; they stand in the row that the defensive lobe takes later.
+    patch = lobes[lobes.shape[0] - 1]
     diffuse_moment[:] = 0.0
     mean_spread = 0.0
     count = 0
@@ -174,12 +176,14 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
             x0, y0 = math.floor(x), math.floor(y)
             i0, i1 = _index(int(x0), width, base.tile), _index(int(x0) + 1, width, base.tile)
             j0, j1 = _index(int(y0), height, base.tile), _index(int(y0) + 1, height, base.tile)
-            n00, n10, n01, n11 = base.normal[j0, i0], base.normal[j0, i1], base.normal[j1, i0], base.normal[j1, i1]
+            for k in range(3):
+                patch[k], patch[3 + k] = base.normal[j0, i0, k], base.normal[j0, i1, k]
+                patch[6 + k], patch[9 + k] = base.normal[j1, i0, k], base.normal[j1, i1, k]
             cuts_x, cuts_y = 1, 1
             spreads = False
             if cut:
-                edge_x = size_x * size_x * max(_distance(n00, n10), _distance(n01, n11))
-                edge_y = size_y * size_y * max(_distance(n00, n01), _distance(n10, n11))
+                edge_x = size_x * size_x * max(_distance(patch, 0, 3), _distance(patch, 6, 9))
+                edge_y = size_y * size_y * max(_distance(patch, 0, 6), _distance(patch, 3, 9))
                 narrow = _narrowest(base, i0, i1, j0, j1)
                 spreads = edge_x + edge_y > 1e-3 * narrow
                 if edge_x > step * step * narrow or edge_y > step * step * narrow:
@@ -199,9 +203,9 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
                     fx = x - x0 + (sub_x + 0.5 - 0.5 * cuts_x) * part_x
                     fy = y - y0 + (sub_y + 0.5 - 0.5 * cuts_y) * part_y
                     w00, w10, w01, w11 = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
-                    n0 = w00 * n00[0] + w10 * n10[0] + w01 * n01[0] + w11 * n11[0]
-                    n1 = w00 * n00[1] + w10 * n10[1] + w01 * n01[1] + w11 * n11[1]
-                    n2 = w00 * n00[2] + w10 * n10[2] + w01 * n01[2] + w11 * n11[2]
+                    n0 = w00 * patch[0] + w10 * patch[3] + w01 * patch[6] + w11 * patch[9]
+                    n1 = w00 * patch[1] + w10 * patch[4] + w01 * patch[7] + w11 * patch[10]
+                    n2 = w00 * patch[2] + w10 * patch[5] + w01 * patch[8] + w11 * patch[11]
                     length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
                     if length > 1e-6:
                         n0, n1, n2 = n0 / length, n1 / length, n2 / length
@@ -227,7 +231,7 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
                     lobes[count, MIXTURE] = weight
                     lobes[count, SPREAD], lobes[count, SPREAD + 1], lobes[count, SPREAD + 2] = 0.0, 0.0, 0.0
                     if spreads:
-                        trace = _spread(lobes, count, n00, n10, n01, n11, fx, fy, part_x / length, part_y / length)
+                        trace = _spread(lobes, count, patch, fx, fy, part_x / length, part_y / length)
                         mean_spread += weight * min(trace / narrow, 1.0)
                     if base.has_diffuse:
                         for k in range(3):
@@ -240,9 +244,9 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
 
 
 @inline
-def _distance(a, b):
-    """Squared distance of two texels' normals."""
-    d_x, d_y, d_z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+def _distance(patch, a, b):
+    """Squared distance of two texels' normals, from entries a and b of the patch on."""
+    d_x, d_y, d_z = patch[a] - patch[b], patch[a + 1] - patch[b + 1], patch[a + 2] - patch[b + 2]
     return d_x * d_x + d_y * d_y + d_z * d_z
 
 
@@ -263,7 +267,7 @@ def _narrowest(base, i0, i1, j0, j1):
 
 
 @inline
-def _spread(lobes, i, n00, n10, n01, n11, fx, fy, size_x, size_y):
+def _spread(lobes, i, patch, fx, fy, size_x, size_y):
     """Note in SPREAD what the spread of normals across the sample's part adds to its tensor; returns the trace.
 
     Across a part of a smooth normal field the slopes are spread evenly over a parallelogram with edges g_x and g_y, so
@@ -275,10 +279,10 @@ def _spread(lobes, i, n00, n10, n01, n11, fx, fy, size_x, size_y):
     for axis in range(2):
         f = fy if axis == 0 else fx
         size = size_x if axis == 0 else size_y
-        a, b, c, d = (n00, n10, n01, n11) if axis == 0 else (n00, n01, n10, n11)
-        d_x = size * ((1.0 - f) * (b[0] - a[0]) + f * (d[0] - c[0]))
-        d_y = size * ((1.0 - f) * (b[1] - a[1]) + f * (d[1] - c[1]))
-        d_z = size * ((1.0 - f) * (b[2] - a[2]) + f * (d[2] - c[2]))
+        near, far = (3, 6) if axis == 0 else (6, 3)
+        d_x = size * ((1.0 - f) * (patch[near] - patch[0]) + f * (patch[9] - patch[far]))
+        d_y = size * ((1.0 - f) * (patch[near + 1] - patch[1]) + f * (patch[10] - patch[far + 1]))
+        d_z = size * ((1.0 - f) * (patch[near + 2] - patch[2]) + f * (patch[11] - patch[far + 2]))
         u, v = t_x * d_x + t_y * d_y + t_z * d_z, b_x * d_x + b_y * d_y + b_z * d_z
         xx += u * u / 6.0
         yy += v * v / 6.0
