@@ -135,7 +135,9 @@ def test_interrupt_leaves_the_old_output(tmp_path):
     bake_to_folder(source, output, method="naive", preview=False)
     before = {path: path.read_bytes() for path in old.rglob("*") if path.is_file()}
     script = (
-        "import sys; from brdffit.baking import bake_to_folder\n"
+        # Background jobs of a shell ignore SIGINT, and children inherit that.
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from brdffit.baking import bake_to_folder\n"
         "class Tell:\n"
         "    def phase(self, name): print(name, flush=True)\n"
         "    def __call__(self, *level): pass\n"

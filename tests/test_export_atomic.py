@@ -111,8 +111,10 @@ def test_a_failed_exchange_leaves_what_was_there(tmp_path, monkeypatch):
     assert contents(tmp_path) == before
 
 
+# Background jobs of a shell ignore SIGINT, and children inherit that: the child asks for Python's own handler.
 _SLOW_BAKE = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path[:0] = [sys.argv[1], sys.argv[2]]
 from brdffit.textures import export
 from test_export_atomic import write
