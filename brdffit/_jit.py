@@ -105,4 +105,3 @@ def _uses(callee: Any, names: Any) -> bool:
         return True
     called = (function.__globals__.get(name) for name in function.__code__.co_names)
     return any(_uses(other, names) for other in called if isinstance(other, numba.core.dispatcher.Dispatcher))
-

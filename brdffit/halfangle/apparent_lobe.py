@@ -69,9 +69,7 @@ class Strata(NamedTuple):
 def base_of(svbrdf: Svbrdf, default_shape: float = 0.0) -> Base:
     """Pack an Svbrdf for the kernels (no array is copied unless its type differs)."""
     log_roughness = _plain(svbrdf.log_roughness)
-    isotropic = bool(
-        np.array_equal(log_roughness[..., 0], log_roughness[..., 1]) and not np.any(log_roughness[..., 2])
-    )
+    isotropic = bool(np.array_equal(log_roughness[..., 0], log_roughness[..., 1]) and not np.any(log_roughness[..., 2]))
     specular = _plain(svbrdf.specular)
     none = np.zeros((1, 1), np.float32)
     return Base(
