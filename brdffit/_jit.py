@@ -33,7 +33,7 @@ def _cache_folder() -> Path:
 def _use_wide_vectors() -> None:
     """Ask for 512-bit vectors where the processor has them without a clock penalty (Ice Lake and later).
 
-    LLVM prefers 256 bits there by default; our loops over nodes run 20 to 25% faster with 512. The user's own
+    LLVM prefers 256 bits there by default; our loops over nodes are faster with 512. The user's own
     NUMBA_CPU_NAME or NUMBA_CPU_FEATURES win.
     """
     if "NUMBA_CPU_NAME" in os.environ or "NUMBA_CPU_FEATURES" in os.environ:
