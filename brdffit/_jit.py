@@ -15,19 +15,26 @@ from typing import Any
 
 import llvmlite.binding
 
-_KERNEL_ROOMS = ("models", "halfangle", "fitting")
+#: The rooms whose kernels a room's kernels may call, itself included: an edit there makes its cache stale.
+_KERNEL_ROOMS = {
+    "fitting": ("models", "halfangle", "fitting"),
+    "render": ("models", "halfangle", "render"),
+}
 
 
-def _cache_folder() -> Path:
-    """Folder of compiled kernels: $NUMBA_CACHE_DIR or the user's cache, then the hash of every kernel source."""
+def _cache_root() -> Path:
+    base = os.environ.get("BRDFFIT_CACHE") or os.environ.get("NUMBA_CACHE_DIR")
+    return Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "brdffit"
+
+
+def _cache_folder(group: str, base: Path) -> str:
+    """Folder of compiled kernels below ``base``: the hash of every source that the group's kernels may stand on."""
     root = Path(__file__).parent
     digest = hashlib.sha256(Path(__file__).read_bytes())
-    for room in _KERNEL_ROOMS:
+    for room in _KERNEL_ROOMS[group]:
         for source in sorted((root / room).glob("*.py")):
             digest.update(source.name.encode() + source.read_bytes())
-    base = os.environ.get("BRDFFIT_CACHE") or os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "brdffit"
-    return folder / digest.hexdigest()[:16]
+    return str(base / digest.hexdigest()[:16])
 
 
 def _use_wide_vectors() -> None:
@@ -45,28 +52,34 @@ def _use_wide_vectors() -> None:
 
 
 # Numba reads these variables at import, so they must come first; the hash goes below whatever folder the user chose.
-os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
+_FOLDERS = {group: _cache_folder(group, _cache_root()) for group in _KERNEL_ROOMS}
+os.environ["NUMBA_CACHE_DIR"] = _FOLDERS["fitting"]
 _use_wide_vectors()
 
 import numba  # noqa: E402
 from numba import typeof as numba_type  # noqa: E402, F401
 from numba import types  # noqa: E402, F401  (kernel files take their type names from here)
 
-numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]  # type: ignore[attr-defined]  # set at run time
-
 #: Reassociation and contraction give the full speed; nnan and ninf stay out, so that isfinite keeps its meaning.
 _FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
 _FLAGS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": _FASTMATH, "error_model": "numpy"}
 
 
+def _compile(function: Callable, **flags: Any) -> Any:
+    """A dispatcher whose cache is that of its module's room."""
+    group = "render" if function.__module__.startswith("brdffit.render.") else "fitting"
+    numba.config.CACHE_DIR = _FOLDERS[group]  # type: ignore[attr-defined]  # Numba reads it at decoration
+    return numba.njit(**flags)(function)
+
+
 def kernel(function: Callable) -> Any:
     """Compile on first call; releases the GIL; cached on disk."""
-    return numba.njit(**_FLAGS)(function)
+    return _compile(function, **_FLAGS)
 
 
 def inline(function: Callable) -> Any:
     """Scalar maths that is inlined into the loops that call it."""
-    return numba.njit(forceinline=True, **_FLAGS)(function)
+    return _compile(function, forceinline=True, **_FLAGS)
 
 
 def specialise(template: Any, suffix: str, **bindings: Any) -> Any:
@@ -95,7 +108,7 @@ def specialise(template: Any, suffix: str, **bindings: Any) -> Any:
     flags = dict(_FLAGS)
     if template.targetoptions.get("forceinline"):
         flags["forceinline"] = True
-    return numba.njit(**flags)(copy)
+    return _compile(copy, **flags)
 
 
 def _uses(callee: Any, names: Any) -> bool:
