@@ -1,0 +1,172 @@
+"""How far a picture is from its reference; every figure a plain number, every formula in its docstring.
+
+Pictures are (h, w, 3) linear radiance unless it says "displayed", which is what a screen shows, in [0, 1]. Libraries
+that take long to load (FLIP, scikit-image) are imported where they are used.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Guards the quotient of `relative_l2` for black pictures: a mean squared radiance far below any lit one.
+EPSILON = 1e-6
+#: Luminance of linear sRGB primaries (ITU-R BT.709).
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+#: Mean luminance of a displayed reference, before the curve; highlights then stay below white.
+KEY = 0.22
+#: Exposures that HDR-FLIP looks at, within the range it finds by itself; one a stop would cost three times as much.
+_EXPOSURES = 4
+#: Luminance, in units of the exposed scene, that the curve takes to white.
+WHITE = 6.0
+
+
+class PictureFigures(NamedTuple):
+    """What is said of one picture: decibels, relative squared error, FLIP in [0, 1] (0: the same), SSIM, energy."""
+
+    snr_db: float
+    relative_l2: float
+    flip_hdr: float
+    flip_ldr: float
+    ssim: float
+    energy_kept: float
+
+
+def snr_db(picture: NDArray, reference: NDArray) -> float:
+    """-10 log10( sum (P - R)^2 / sum R^2 ) in dB over all pixels and channels; infinite where they are equal.
+
+    A black reference under a picture that is not black gives -infinity.
+    """
+    error, power = _squares(picture, reference)
+    if error == 0.0:
+        return math.inf
+    return -10.0 * math.log10(error / power) if power > 0.0 else -math.inf
+
+
+def snr_of_errors(errors: NDArray, power: NDArray) -> NDArray:
+    """-10 log10 of the mean over texels of their relative squared errors, in dB: (M, n) and (n,) give (M,).
+
+    The mean is of quotients, as in the half-angle figure, so that every texel counts alike, dark or bright. Texels that
+    reflect nothing are left out; infinite where no error is left.
+    """
+    lit = np.asarray(power) > 0.0
+    relative = np.asarray(errors, np.float64)[:, lit] / np.asarray(power, np.float64)[lit]
+    mean = relative.mean(axis=1) if lit.any() else np.zeros(len(relative))
+    with np.errstate(divide="ignore"):
+        return -10.0 * np.log10(mean)
+
+
+def relative_l2(picture: NDArray, reference: NDArray, epsilon: float = EPSILON) -> float:
+    """Kemppinen et al. 2023, equation 5: mean (P - R)^2 / (mean P^2 + epsilon).
+
+    The paper divides by the prediction P, held constant in the gradient, because its reference is noisy: the gradient
+    is then linear in R, and the noise of R averages out of it (a noisy R in the denominator would bias it). As a figure
+    it does not treat both sides alike: P = s R gives (1 - 1/s)^2, so that too bright costs less than too dark; `snr_db`
+    divides by the reference and gives (s - 1)^2.
+    """
+    count = max(1, np.size(reference))
+    error, _ = _squares(picture, reference)
+    power = float(np.square(picture, dtype=np.float64).sum())
+    return (error / count) / (power / count + epsilon)
+
+
+def energy_kept(picture: NDArray, reference: NDArray) -> float:
+    """Sum of the picture's radiance over the reference's; 1 where both are black."""
+    total = float(np.sum(reference, dtype=np.float64))
+    own = float(np.sum(picture, dtype=np.float64))
+    if total == 0.0:
+        return 1.0 if own == 0.0 else math.inf
+    return own / total
+
+
+def exposure_of(reference: NDArray) -> float:
+    """Factor that brings the mean luminance of a reference to `KEY`; 1 for a black one."""
+    mean = float(np.mean(np.asarray(reference, np.float64) @ LUMINANCE))
+    return KEY / mean if mean > 0.0 else 1.0
+
+
+def tone_map(radiance: NDArray, exposure: float) -> NDArray:
+    """Displayed values in [0, 1] (float32): exposure, Reinhard's curve with white at `WHITE` (2002, eq. 4), sRGB."""
+    x = np.maximum(np.asarray(radiance, np.float32) * np.float32(exposure), 0.0)
+    mapped = np.clip(x * (1.0 + x / WHITE**2) / (1.0 + x), 0.0, 1.0)
+    high = 1.055 * np.power(np.maximum(mapped, 0.0031308), 1.0 / 2.4) - 0.055
+    return np.where(mapped <= 0.0031308, 12.92 * mapped, high).astype(np.float32)
+
+
+def flip_ldr(displayed: NDArray, displayed_reference: NDArray) -> float:
+    """Mean FLIP (Andersson et al. 2020) of displayed pictures at its default 67 pixels a degree; 0 same, 1 at most."""
+    return _flip(displayed, displayed_reference, "LDR")
+
+
+def flip_hdr(picture: NDArray, reference: NDArray) -> float:
+    """Mean HDR-FLIP (Andersson et al. 2021) of linear pictures: each pixel's worst of four exposures, taken from R."""
+    if not np.any(reference):
+        return 0.0 if not np.any(picture) else 1.0
+    return _flip(np.maximum(picture, 0.0), np.maximum(reference, 0.0), "HDR")
+
+
+def ssim(displayed: NDArray, displayed_reference: NDArray) -> float:
+    """Structural similarity (Wang et al. 2004: Gaussian window, sigma 1.5) of displayed pictures; 1: the same.
+
+    Pictures smaller than the window give 1 where equal, else 0.
+    """
+    from skimage.metrics import structural_similarity
+
+    if min(displayed.shape[:2]) < 11:
+        return float(np.array_equal(displayed, displayed_reference))
+    return float(
+        structural_similarity(
+            displayed, displayed_reference, channel_axis=-1, data_range=1.0, gaussian_weights=True, sigma=1.5,
+            use_sample_covariance=False,
+        )
+    )  # fmt: skip
+
+
+def compare_pictures(picture: NDArray, reference: NDArray, exposure: float | None = None) -> PictureFigures:
+    """All figures of one picture; ``exposure`` of the displayed ones, by default that of the reference."""
+    exposure = exposure_of(reference) if exposure is None else exposure
+    shown, shown_reference = tone_map(picture, exposure), tone_map(reference, exposure)
+    return PictureFigures(
+        snr_db=snr_db(picture, reference),
+        relative_l2=relative_l2(picture, reference),
+        flip_hdr=flip_hdr(picture, reference),
+        flip_ldr=flip_ldr(shown, shown_reference),
+        ssim=ssim(shown, shown_reference),
+        energy_kept=energy_kept(picture, reference),
+    )
+
+
+def change_per_frame(frames: NDArray) -> float:
+    """Mean absolute difference of one frame (first axis) from the next, over all pixels; 0 for a single frame."""
+    frames = np.asarray(frames, np.float64)
+    return float(np.abs(np.diff(frames, axis=0)).mean()) if len(frames) > 1 else 0.0
+
+
+def relative_change(frames: NDArray, reference_frames: NDArray) -> float:
+    """Change per frame over that of the reference: 1 moves as the truth does, more flickers, less is smeared.
+
+    Where the truth stands still: 1 if the frames do too, else infinite.
+    """
+    own, true = change_per_frame(frames), change_per_frame(reference_frames)
+    if true == 0.0:
+        return 1.0 if own == 0.0 else math.inf
+    return own / true
+
+
+def _squares(picture: NDArray, reference: NDArray) -> tuple[float, float]:
+    """Sums of (P - R)^2 and of R^2."""
+    if np.shape(picture) != np.shape(reference):
+        raise ValueError(f"the picture has shape {np.shape(picture)}, expected {np.shape(reference)} of its reference")
+    difference = np.asarray(picture, np.float64) - np.asarray(reference, np.float64)
+    return float(np.square(difference).sum()), float(np.square(reference, dtype=np.float64).sum())
+
+
+def _flip(picture: NDArray, reference: NDArray, dynamic_range: str) -> float:
+    import flip_evaluator
+
+    pictures = [np.ascontiguousarray(each, np.float32) for each in (reference, picture)]
+    parameters = {"numExposures": _EXPOSURES} if dynamic_range == "HDR" else {}
+    return float(flip_evaluator.evaluate(*pictures, dynamic_range, applyMagma=False, parameters=parameters)[1])
