@@ -1,0 +1,120 @@
+"""One texture set after another through every method, the reference and the metrics: the road to the records."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from brdffit.comparison.ask import Ask, Listener, PictureFiles
+from brdffit.comparison.one_set import SetWork, fit_of
+from brdffit.comparison.views import Studio
+from brdffit.methods import get_method, method_names
+from brdffit.render.environment import Environment, procedural_environment
+from brdffit.report.records import (
+    Comparison,
+    MethodInfo,
+    SetResult,
+)
+from brdffit.svbrdf import Svbrdf
+from brdffit.textures.image_io import read_image
+from brdffit.textures.manifest import versions
+from brdffit.textures.texture_set import TextureSet
+
+
+def compare(
+    sources: Sequence[str | os.PathLike[str] | TextureSet | Svbrdf],
+    ask: Ask = Ask(),  # noqa: B008
+    *,
+    command: str = "",
+    listener: Listener | None = None,
+) -> tuple[Comparison, PictureFiles]:
+    """Compare the methods on every set.
+
+    Args:
+        sources: folders of textures, .gltf, .glb or .mtlx files, TextureSets or Svbrdfs.
+        ask: what, and how closely.
+        command: that does the same again, for the record.
+        listener: told of phases and texels.
+
+    Returns:
+        The records, and the pictures they name.
+
+    Raises:
+        InputError: for a set or an environment that cannot be used, or when no method can bake a set.
+        UnknownNameError: for an unknown name.
+    """
+    began = time.perf_counter()
+    environment, methods = _environment(ask.environment), list(ask.methods) or method_names()
+    studio = Studio.usual(
+        environment, pixels=ask.pixels, frames=ask.frames, samples=ask.samples,
+        pixel_filter=ask.options.pixel_filter, threads=ask.options.threads,
+    )  # fmt: skip
+    results: list[SetResult] = []
+    pictures: PictureFiles = {}
+    for number, source in enumerate(sources):
+        name = _free_name(_name(source, number), [result.name for result in results])
+        work = SetWork(name, source, ask, methods, studio, listener)
+        results.append(work.run())
+        pictures.update(work.pictures)
+    comparison = Comparison(
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        command=command,
+        machine=_machine(ask.options.threads),
+        options={
+            **asdict(ask.options), "environment": Path(ask.environment).name if ask.environment else "procedural",
+            "pixels": ask.pixels, "frames": ask.frames, "texels": ask.texels, "pairs": ask.pairs,
+            "samples": ask.samples,
+        },
+        methods=[
+            MethodInfo(name=name, summary=get_method(name).summary, fit=name == fit_of(methods)) for name in methods
+        ],
+        sets=results,
+        seconds=time.perf_counter() - began,
+    )  # fmt: skip
+    return comparison, pictures
+
+
+def _name(source: Any, number: int) -> str:
+    if isinstance(source, Svbrdf):
+        return f"set-{number + 1}"
+    return source.name if isinstance(source, TextureSet) else Path(source).resolve().stem
+
+
+def _free_name(name: str, taken: Sequence[str]) -> str:
+    """Sets of one name in different folders get numbers."""
+    number, free = 2, name
+    while free in taken:
+        free, number = f"{name}-{number}", number + 1
+    return free
+
+
+def _environment(file: str | None) -> Environment:
+    return procedural_environment() if file is None else Environment(read_image(file).pixels[..., :3])
+
+
+def _machine(threads: int | None) -> dict[str, str | int | float | None]:
+    """What it ran on."""
+    return {
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "threads": threads or os.cpu_count(),
+        "load at the end": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        **versions(),
+    }
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or "unknown"

@@ -1,0 +1,241 @@
+"""One texture set through every method, the reference and the metrics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.comparison.ask import Ask, Listener, PictureFiles
+from brdffit.comparison.lobes import lobe_view, representative_texels, same_place
+from brdffit.comparison.maps import map_strip
+from brdffit.comparison.views import SMALL_LIGHTS, Pyramids, Studio, all_views, distances_of
+from brdffit.errors import InputError
+from brdffit.fitting.batch import model_kernels
+from brdffit.halfangle.apparent_lobe import base_of
+from brdffit.halfangle.density import DENSITY_EXPONENTS
+from brdffit.halfangle.measure import Measured, measure, random_texels, snr
+from brdffit.methods import Pyramid, get_method
+from brdffit.models import get_model
+from brdffit.render import metrics, scenes
+from brdffit.render.reference import pair_errors
+from brdffit.render.terms import Terms
+from brdffit.report.records import (
+    KEPT_SUFFIX,
+    PICTURES,
+    LevelFigures,
+    LobeView,
+    MethodResult,
+    SetResult,
+    Skipped,
+    capped,
+)
+from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.textures.conversion import to_svbrdf
+from brdffit.textures.texture_set import TextureSet, read_texture_set
+
+#: Levels whose lobes are shown, held to those that a set has.
+_LOBE_LEVELS = (1, 3, 5)
+_MEASURE_NODES, _MEASURE_SAMPLES = 1024, (16, 96)
+#: Side of the picture on which the texels of the lobes are marked, at most.
+_OVERVIEW = 256
+
+
+def fit_of(methods: Sequence[str]) -> str:
+    """The method that the others are held against: ours, else the first."""
+    return "bfgs" if "bfgs" in methods else methods[0]
+
+
+class SetWork:
+    """One set: what is read, baked, measured and rendered, with the seconds of each."""
+
+    def __init__(
+        self, name: str, source: Any, ask: Ask, methods: Sequence[str], studio: Studio, listener: Listener | None
+    ) -> None:
+        self.name, self.ask, self.methods, self.studio, self.listener = name, ask, methods, studio, listener
+        self.seconds: dict[str, float] = {}
+        self.pictures: PictureFiles = {}
+        self.skipped: list[Skipped] = []
+        self.texture_set: TextureSet | None = None
+        with self._phase("reading"):
+            if isinstance(source, Svbrdf):
+                self.base = source
+            else:
+                is_set = isinstance(source, TextureSet)
+                self.texture_set = source if is_set else read_texture_set(source, **ask.reading)
+                self.base = to_svbrdf(self.texture_set, min_roughness=ask.options.min_roughness)
+
+    def run(self) -> SetResult:
+        """Everything, in order."""
+        baked, seconds = self._bake()
+        pyramids = {name: [level.svbrdf for level in pyramid.levels] for name, pyramid in baked.items()}
+        fit = fit_of(list(pyramids))
+        kept = self._kept(pyramids[fit], fit)
+        with self._phase("half-angle error"):
+            half_angle = [
+                self._measure({name: levels[k] for name, levels in pyramids.items()}, *self._texels(k))
+                for k in range(_depth(pyramids))
+            ]
+        with self._phase("pairs of light and viewer"):
+            pairs = self._pairs(pyramids)
+        views = []
+        with self._phase("pictures"):
+            for view, shown in all_views(self.base, pyramids, kept, self.studio, self._tell):
+                for name, picture in shown.items():
+                    self._store(f"{view.key}-{name}", picture)
+                view.reference = self._path(f"{view.key}-reference")
+                for shot in view.shots:
+                    shot.picture = self._path(f"{view.key}-{shot.method}")
+                views.append(view)
+        with self._phase("lobes"):
+            lobes = self._lobes(pyramids, half_angle, fit)
+            overview = self._overview()
+        with self._phase("maps"):
+            maps = {name: self._store(f"maps-{name}", map_strip(levels)) for name, levels in pyramids.items()}
+        sizes = [level.size for level in pyramids[fit]]
+        results = [
+            MethodResult(
+                method=name,
+                seconds=seconds[name],
+                maps=maps[name],
+                notes=baked[name].notes,
+                levels=[
+                    LevelFigures(
+                        level=k,
+                        size=size,
+                        pair_snr_db=pairs[k][name],
+                        energy_kept=float(half_angle[k][name].energy.mean()),
+                        half_angle_snr_db=capped(snr(half_angle[k][name].error)),
+                    )
+                    for k, size in enumerate(sizes)
+                ],
+            )
+            for name in pyramids
+        ]  # fmt: skip
+        read = self.texture_set
+        return SetResult(
+            name=self.name, size=self.base.size, wrap=self.base.wrap, methods=results, skipped=self.skipped,
+            distances=distances_of(self.base.size, len(sizes)), views=views, lobes=lobes, overview=overview,
+            maps_levels=len(sizes), seconds={name: round(value, 3) for name, value in self.seconds.items()},
+            inputs={role: each.path.name for role, each in read.maps.items()} if read else {},
+            notes=list(read.notes) if read else [],
+        )  # fmt: skip
+
+    def _bake(self) -> tuple[dict[str, Pyramid], dict[str, float]]:
+        """Pyramids and seconds by method; a method that cannot is noted with its sentence."""
+        baked: dict[str, Pyramid] = {}
+        seconds: dict[str, float] = {}
+        options = self.ask.options
+        for number, name in enumerate(self.methods):
+            method = get_method(name)
+            prepare = getattr(method, "prepare", None)
+            if prepare is not None:
+                with self._phase("compiling"):
+                    prepare(options.model, self.base.model)
+            with self._phase("baking", f"baking by {name} ({number + 1} of {len(self.methods)})"):
+                start = time.perf_counter()
+                try:
+                    baked[name] = method.bake(self.base, options, self.listener)
+                except InputError as error:
+                    self.skipped.append(Skipped(method=name, reason=str(error)))
+                    continue
+                seconds[name] = time.perf_counter() - start
+        if not baked:
+            reasons = " ".join(each.reason for each in self.skipped)
+            raise InputError(f"No method can bake '{self.name}': {reasons}")
+        return baked, seconds
+
+    def _kept(self, levels: Sequence[Svbrdf], fit: str) -> Pyramids:
+        """The fit with level 0 as authored, where that is another level 0."""
+        if levels[0].model != self.base.model or self.ask.options.keep_level_0:
+            return {}
+        return {fit + KEPT_SUFFIX: [self.base, *levels[1:]]}
+
+    def _measure(self, level: Mapping[str, Svbrdf], columns: NDArray, rows: NDArray) -> dict[str, Measured]:
+        """Half-angle error and energy kept (n,) of each method's version of a level."""
+        source, options = get_model(self.base.model), self.ask.options
+        base = base_of(self.base, source.default_shape)
+        found: dict[str, Measured] = {}
+        # One call takes versions of one lobe model.
+        for model in dict.fromkeys(each.model for each in level.values()):
+            names = [name for name, each in level.items() if each.model == model]
+            together = measure(
+                base, self.base.size, [level[name] for name in names], columns, rows,
+                pixel_filter=options.pixel_filter, exponent=DENSITY_EXPONENTS[options.density],
+                kernels=model_kernels(source.name, model), default_shape=get_model(model).default_shape,
+                nodes=_MEASURE_NODES, samples=_MEASURE_SAMPLES,
+            )  # fmt: skip
+            found |= {name: Measured(*(each[m] for each in together)) for m, name in enumerate(names)}
+        return {name: found[name] for name in level}
+
+    def _pairs(self, pyramids: Pyramids) -> list[dict[str, float]]:
+        """Per level and method the SNR in dB of the whole BRDF over random pairs of light and viewer."""
+        figures = []
+        for k in range(_depth(pyramids)):
+            columns, rows = self._texels(k)
+            errors, power = pair_errors(
+                self.base, [levels[k] for levels in pyramids.values()], columns, rows, pairs=self.ask.pairs, seed=k,
+                terms=Terms(), pixel_filter=self.ask.options.pixel_filter,
+            )  # fmt: skip
+            found = metrics.snr_of_errors(errors, power)
+            figures.append({name: capped(float(value)) for name, value in zip(pyramids, found, strict=True)})
+        return figures
+
+    def _lobes(self, pyramids: Pyramids, measured: Sequence[Mapping[str, Measured]], fit: str) -> list[LobeView]:
+        """Lobes of representative texels: at even quantiles of the fit's error at the middle level, and where they are
+        at the other levels."""
+        depth = _depth(pyramids)
+        shown = list(dict.fromkeys(min(level, depth - 1) for level in _LOBE_LEVELS))
+        middle = shown[len(shown) // 2]
+        texels = representative_texels(measured[middle][fit].error, *self._texels(middle), self.ask.lobes)
+        sizes = level_sizes(self.base.size, depth)
+        views = []
+        for k in shown:
+            level = {name: levels[k] for name, levels in pyramids.items()}
+            places = [same_place(texel, sizes[middle], sizes[k]) for texel in texels]
+            for place in dict.fromkeys(places):
+                found = self._measure(level, np.array([place[0]]), np.array([place[1]]))
+                errors = {name: snr(each.error) for name, each in found.items()}
+                views.append(
+                    lobe_view(self.base, level, k, place, pixel_filter=self.ask.options.pixel_filter, errors=errors)
+                )
+        return views
+
+    def _overview(self) -> str:
+        """The whole set once, by the reference under small lights; returns its path."""
+        sizes = level_sizes(self.base.size)
+        k = next((i for i, size in enumerate(sizes) if max(size) <= _OVERVIEW), len(sizes) - 1)
+        radiance = self.studio.reference(self.base, scenes.plane(self.base.size, k, sizes[k]), SMALL_LIGHTS)
+        return self._store("overview", metrics.tone_map(radiance, metrics.exposure_of(radiance)))
+
+    def _texels(self, k: int) -> tuple[NDArray, NDArray]:
+        return random_texels(level_sizes(self.base.size)[k], self.ask.texels, seed=k)
+
+    def _path(self, name: str) -> str:
+        return f"{PICTURES}/{self.name}/{name.replace(':', '.').replace(' ', '-').replace(',', '')}.png"
+
+    def _store(self, name: str, picture: NDArray) -> str:
+        path = self._path(name)
+        self.pictures[path] = picture if picture.dtype == np.uint8 else np.round(255.0 * picture).astype(np.uint8)
+        return path
+
+    def _tell(self, what: str) -> None:
+        if self.listener is not None:
+            self.listener.phase(f"{self.name}: {what}")
+
+    @contextmanager
+    def _phase(self, name: str, told: str | None = None) -> Iterator[None]:
+        self._tell(told or name)
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def _depth(pyramids: Pyramids) -> int:
+    return min(len(levels) for levels in pyramids.values())

@@ -1,0 +1,223 @@
+"""Pictures of a set by the reference and by every method, and what is measured on them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.render import lights as light_sets
+from brdffit.render import metrics, scenes
+from brdffit.render.environment import Environment
+from brdffit.render.lights import Lights
+from brdffit.render.reference import render_pyramid, render_reference
+from brdffit.render.scenes import Scene
+from brdffit.report.records import Figures, Shot, View, capped
+from brdffit.svbrdf import Svbrdf, level_sizes
+
+#: MIP levels at which a set is seen (Kemppinen et al. 2023, figure 5); held to the levels that it has.
+DISTANCES = {"near": 0, "mid": 3, "far": 7}
+#: Between level 0 and level 1, where the paper looks at motion (figures 4 and 6), and its rotation a frame, in radians.
+_MOTION_LEVEL, _ROTATION = 0.5, np.radians(0.1)
+_HALF_PIXEL = (0.5, 0.0)
+#: How much the change by half a pixel is amplified in its pictures.
+_AMPLIFIED = 2.0
+_MOST_CHANGE = 999.0
+
+SMALL_LIGHTS, ENVIRONMENT = "small lights", "environment"
+
+
+@dataclass(frozen=True)
+class Studio:
+    """What is the same for all pictures of a comparison.
+
+    Attributes:
+        pixels: side of a picture.
+        frames: of the slow rotation.
+        samples: preset of the reference ("draft", "standard", "fine"), see ``render_reference``.
+        environment: around the surface.
+        lights: the small lights.
+        pixel_filter: of the reference.
+        threads: None takes all cores.
+    """
+
+    pixels: int
+    frames: int
+    samples: str
+    environment: Environment
+    lights: Lights
+    pixel_filter: str = "box"
+    threads: int | None = None
+
+    @classmethod
+    def usual(cls, environment: Environment, **settings) -> Studio:  # type: ignore[no-untyped-def]
+        """With the small lights of the renderer."""
+        return cls(environment=environment, lights=light_sets.few(), **settings)
+
+    def reference(self, base: Svbrdf, scene: Scene, lit: str) -> NDArray:
+        """(h, w, 3) linear radiance."""
+        return render_reference(
+            base, scene, self._lights(lit), environment=self._environment(lit), pixel_filter=self.pixel_filter,
+            samples=self.samples, threads=self.threads,
+        )  # fmt: skip
+
+    def method(self, levels: Sequence[Svbrdf], scene: Scene, lit: str) -> NDArray:
+        """(h, w, 3) linear radiance."""
+        return render_pyramid(
+            levels, scene, self._lights(lit), environment=self._environment(lit), threads=self.threads
+        )
+
+    def _lights(self, lit: str) -> Lights | None:
+        return self.lights if lit == SMALL_LIGHTS else None
+
+    def _environment(self, lit: str) -> Environment | None:
+        return self.environment if lit == ENVIRONMENT else None
+
+
+#: Levels of a pyramid by the name of the method, finest first.
+Pyramids = Mapping[str, Sequence[Svbrdf]]
+#: told(what): a picture is about to be rendered.
+Told = Callable[[str], None]
+
+
+def distances_of(size: tuple[int, int], levels: int | None = None) -> dict[str, int]:
+    """Level of near, mid and far for a base of this size; distances that fall together are kept."""
+    last = len(level_sizes(size, levels)) - 1
+    return {name: min(level, last) for name, level in DISTANCES.items()}
+
+
+def all_views(
+    base: Svbrdf, pyramids: Pyramids, kept: Pyramids, studio: Studio, told: Told = lambda what: None
+) -> Iterator[tuple[View, dict[str, NDArray]]]:
+    """Every view of a set with its pictures by name ("reference" and methods), displayed, (h, w, 3) float32 in [0, 1].
+
+    Args:
+        base: the set.
+        pyramids: of the methods.
+        kept: pyramids whose level 0 is as authored; they are seen where level 0 is.
+        studio: pixels, lights and samples.
+    """
+    near = distances_of(base.size, len(next(iter(pyramids.values()))))
+    pixels = (studio.pixels, studio.pixels)
+    first: dict[str, NDArray] = {}
+    for lit in (SMALL_LIGHTS, ENVIRONMENT):
+        for distance, level in near.items():
+            told(f"{distance}, {lit}")
+            scene = scenes.plane(base.size, level, pixels)
+            shown = {**pyramids, **kept} if level == 0 else pyramids
+            radiance = _radiance(base, shown, scene, lit, studio)
+            if distance == "near" and lit == SMALL_LIGHTS:
+                first = radiance
+            title = f"Plane, {distance} (level {level}), {lit}"
+            view = _view(f"{distance}-{_slug(lit)}", "distance", title, lit, radiance, distance, float(level))
+            yield view, _displayed(radiance, view.exposure)
+
+    told("half a pixel")
+    moved = _radiance(base, {**pyramids, **kept}, scenes.plane(base.size, 0, pixels, shift=_HALF_PIXEL),
+                      SMALL_LIGHTS, studio)  # fmt: skip
+    yield _shift_view(first, moved)
+
+    told("slow rotation")
+    yield _rotation_view(base, pyramids, kept, studio)
+
+    for scene, lit, title in (
+        (scenes.slanted(base.size, pixels), SMALL_LIGHTS, "Slanted plane through all levels"),
+        (scenes.sphere(base.size, _ball_level(base, pyramids), pixels), ENVIRONMENT, "Sphere"),
+    ):
+        told(scene.name)
+        radiance = _radiance(base, pyramids, scene, lit, studio)
+        view = _view(scene.name, "scene", f"{title}, {lit}", lit, radiance, "", scene.level)
+        yield view, _displayed(radiance, view.exposure)
+
+
+def figures_of(picture: NDArray, reference: NDArray, exposure: float) -> Figures:
+    """``metrics.compare_pictures`` as a record, decibels capped."""
+    found = metrics.compare_pictures(picture, reference, exposure)
+    return Figures(**found._replace(snr_db=capped(found.snr_db))._asdict())
+
+
+def _radiance(base: Svbrdf, pyramids: Pyramids, scene: Scene, lit: str, studio: Studio) -> dict[str, NDArray]:
+    """Linear pictures by name, the reference first."""
+    pictures = {"reference": studio.reference(base, scene, lit)}
+    pictures.update((name, studio.method(levels, scene, lit)) for name, levels in pyramids.items())
+    return pictures
+
+
+def _view(
+    key: str, group: str, title: str, lit: str, radiance: Mapping[str, NDArray], distance: str, level: float | None
+) -> View:
+    """The record of a still view; names of pictures are keys for now, paths later."""
+    reference = radiance["reference"]
+    exposure = metrics.exposure_of(reference)
+    return View(
+        key=key, group=group, title=title, lighting=lit, distance=distance, level=level, exposure=exposure,
+        reference="reference",
+        shots=[
+            Shot(method=name, picture=name, figures=figures_of(picture, reference, exposure))
+            for name, picture in radiance.items()
+            if name != "reference"
+        ],
+    )  # fmt: skip
+
+
+def _displayed(radiance: Mapping[str, NDArray], exposure: float) -> dict[str, NDArray]:
+    return {name: metrics.tone_map(picture, exposure) for name, picture in radiance.items()}
+
+
+def _shift_view(first: Mapping[str, NDArray], moved: Mapping[str, NDArray]) -> tuple[View, dict[str, NDArray]]:
+    """What half a pixel changes: pictures of the change, and its mean relative to the reference's own."""
+    exposure = metrics.exposure_of(first["reference"])
+    frames = {name: np.stack([first[name], moved[name]]) for name in moved}
+    shots = _moving_shots(frames)
+    view = View(
+        key="shift", group="motion", title="Change by half a pixel, level 0, small lights", lighting=SMALL_LIGHTS,
+        level=0.0, exposure=exposure, reference="reference", shots=shots,
+    )  # fmt: skip
+    pictures = {}
+    for name, pair in frames.items():
+        one, other = (metrics.tone_map(frame, exposure) for frame in pair)
+        pictures[name] = np.clip(_AMPLIFIED * np.abs(other - one), 0.0, 1.0)
+    return view, pictures
+
+
+def _rotation_view(base: Svbrdf, pyramids: Pyramids, kept: Pyramids, studio: Studio) -> tuple[View, dict[str, NDArray]]:
+    """One column of pixels while the lights turn slowly, a frame beside the other."""
+    level = _MOTION_LEVEL if len(level_sizes(base.size)) > 1 else 0.0
+    column = (studio.pixels, 1)
+    turned = [scenes.plane(base.size, level, column, rotation=i * _ROTATION) for i in range(studio.frames)]
+    pictures = _radiance(base, {**pyramids, **kept}, _side_by_side(turned), SMALL_LIGHTS, studio)
+    stacked = {name: picture.swapaxes(0, 1) for name, picture in pictures.items()}
+    exposure = metrics.exposure_of(pictures["reference"])
+    view = View(
+        key="rotation", group="motion", lighting=SMALL_LIGHTS, level=level, exposure=exposure, reference="reference",
+        title=f"One column over {studio.frames} frames of 0.1 degrees, between levels 0 and 1, small lights",
+        shots=_moving_shots(stacked),
+    )  # fmt: skip
+    return view, _displayed(pictures, exposure)
+
+
+def _side_by_side(parts: Sequence[Scene]) -> Scene:
+    """One scene of several: one call renders all, and the reference shades what they share once."""
+    arrays = ("centre", "axes", "view", "frame", "coverage")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in arrays}
+    return dataclasses.replace(parts[0], **joined)
+
+
+def _moving_shots(frames: Mapping[str, NDArray]) -> list[Shot]:
+    return [
+        Shot(method=name, picture=name, change=min(metrics.relative_change(each, frames["reference"]), _MOST_CHANGE))
+        for name, each in frames.items()
+        if name != "reference"
+    ]
+
+
+def _ball_level(base: Svbrdf, pyramids: Pyramids) -> int:
+    """Level 2, where bumps have become gloss but not yet all; held to what there is."""
+    return min(2, len(next(iter(pyramids.values()))) - 1)
+
+
+def _slug(text: str) -> str:
+    return text.replace(" ", "-")
