@@ -1,0 +1,368 @@
+"""Compiled loops of the renderer: one shading loop, specialised for lobe and terms, under drivers compiled once.
+
+Physics and sources as in ``shading.py``. Samples of one footprint stand side by side in a block, one row a quantity, so
+that the loop over them vectorises; lights and pixels that share a footprint come round it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from brdffit._jit import inline, kernel, types
+from brdffit.halfangle.frame import eigen_log
+from brdffit.models.ggx import profile  # bound anew for other models
+
+real = np.float32
+
+# Terms; bound anew where some are off, and the branches fall away.
+LOBE = True
+MASKING = True
+FRESNEL = True
+DIFFUSE = True
+COSINE = True
+
+# Rows of a block of samples: normal; inverse tensor; tensor; K(shape) / (pi sqrt det), shape; filter weight, the same
+# times the fading of Fresnel's rim, that fading; weight times specular, weight times diffuse under the specular.
+NORMAL, INVERSE, TENSOR, AMPLITUDE, SHAPE, RIM_WEIGHT, RIM, SPECULAR, MATT = 0, 3, 6, 9, 10, 11, 12, 13, 16
+BLOCK_ROWS = 19
+BLOCK = 512
+
+# Channels of a packed texel; a cache line holds it.
+P_NORMAL, P_ROUGHNESS, P_SPECULAR, P_DIFFUSE, P_SHAPE = 0, 3, 6, 9, 12
+PACKED = 16
+
+# How ROUGHNESS is stored: perceptual in its first channel, (a, b, c) of the log tensor, or (XX, YY, XY) in alpha^2.
+PERCEPTUAL, LOG_TENSOR, PLAIN_TENSOR = 0, 1, 2
+
+_LEAST_COSINE = 1e-4
+_LEAST_REFLECTANCE = 0.02
+
+#: What shades: (block, first, last, view, light, sums); view and light are unit vectors (3,), sums (3,) is added to.
+shade_type = types.FunctionType(
+    types.void(
+        types.float32[:, ::1], types.int64, types.int64, types.float64[::1], types.float64[::1], types.float64[::1]
+    )
+)
+log_normalisation_type = types.FunctionType(types.UniTuple(types.float64, 2)(types.float64))
+
+
+@inline
+def _fifth(cosine):
+    """Schlick's weight (1 - cosine)^5."""
+    m = min(max(real(1.0) - cosine, real(0.0)), real(1.0))
+    m2 = m * m
+    return m2 * m2 * m
+
+
+@kernel
+def shade_block(block, first, last, view, light, sums):
+    """Add to ``sums`` (3,) what samples first ... last - 1 of a block send to ``view`` from a light of irradiance 1."""
+    v_x, v_y, v_z = real(view[0]), real(view[1]), real(view[2])
+    l_x, l_y, l_z = real(light[0]), real(light[1]), real(light[2])
+    m_x, m_y, m_z = light[0] + view[0], light[1] + view[1], light[2] + view[2]
+    length = math.sqrt(m_x * m_x + m_y * m_y + m_z * m_z)
+    if length < 1e-6:
+        return
+    h_x, h_y, h_z = real(m_x / length), real(m_y / length), real(m_z / length)
+    # v.h is |l + v| / 2.
+    grazing = _fifth(real(0.5 * length))
+    n_x, n_y, n_z = block[NORMAL], block[NORMAL + 1], block[NORMAL + 2]
+    i_xx, i_yy, i_xy = block[INVERSE], block[INVERSE + 1], block[INVERSE + 2]
+    t_xx, t_yy, t_xy = block[TENSOR], block[TENSOR + 1], block[TENSOR + 2]
+    amplitude, shape, rim_weight, rim = block[AMPLITUDE], block[SHAPE], block[RIM_WEIGHT], block[RIM]
+    s_r, s_g, s_b = block[SPECULAR], block[SPECULAR + 1], block[SPECULAR + 2]
+    d_r, d_g, d_b = block[MATT], block[MATT + 1], block[MATT + 2]
+    red, green, blue, peak = real(0.0), real(0.0), real(0.0), real(0.0)
+    matt_red, matt_green, matt_blue = real(0.0), real(0.0), real(0.0)
+    for i in range(first, last):
+        x, y, z = n_x[i], n_y[i], n_z[i]
+        per = real(1.0) / max(real(1.0) + z, real(1e-6))
+        n_l = l_x * x + l_y * y + l_z * z
+        n_v = v_x * x + v_y * y + v_z * z
+        cosine = real(1.0)
+        if COSINE:
+            cosine = n_l
+        if MASKING or COSINE:
+            cosine = cosine if min(n_l, n_v) > real(0.0) else real(0.0)
+        if LOBE:
+            # Vectors in the frame of the normal, see shading.into_frame.
+            along = h_x * x + h_y * y
+            k = along * per + h_z
+            a, b, c = h_x - k * x, h_y - k * y, along + h_z * z
+            q = max(a * (i_xx[i] * a + real(2.0) * i_xy[i] * b) + i_yy[i] * b * b, real(0.0))
+            lobe = amplitude[i] * cosine * profile(q, min(c * c, real(1.0)), shape[i])
+            if not (MASKING or COSINE):
+                # Lobes end at their own horizon.
+                lobe = lobe if c > real(0.0) else real(0.0)
+            if MASKING:
+                k = (v_x * x + v_y * y) * per + v_z
+                a, b = v_x - k * x, v_y - k * y
+                of_view = a * (t_xx[i] * a + real(2.0) * t_xy[i] * b) + t_yy[i] * b * b
+                k = (l_x * x + l_y * y) * per + l_z
+                a, b = l_x - k * x, l_y - k * y
+                of_light = a * (t_xx[i] * a + real(2.0) * t_xy[i] * b) + t_yy[i] * b * b
+                u_l, u_v = max(n_l, real(_LEAST_COSINE)), max(n_v, real(_LEAST_COSINE))
+                lobe *= real(0.5) / (
+                    u_l * np.sqrt(u_v * u_v + max(of_view, real(0.0)))
+                    + u_v * np.sqrt(u_l * u_l + max(of_light, real(0.0)))
+                )
+            if FRESNEL:
+                peak += lobe * rim_weight[i]
+                lobe -= lobe * grazing * rim[i]
+            red += lobe * s_r[i]
+            green += lobe * s_g[i]
+            blue += lobe * s_b[i]
+        if DIFFUSE:
+            matt = cosine
+            if FRESNEL:
+                matt *= (real(1.0) - _fifth(n_l) * rim[i]) * (real(1.0) - _fifth(n_v) * rim[i])
+            matt_red += matt * d_r[i]
+            matt_green += matt * d_g[i]
+            matt_blue += matt * d_b[i]
+    total = 0.0
+    if FRESNEL:
+        total = grazing * peak
+    sums[0] += total + red + matt_red * (1.0 / math.pi)
+    sums[1] += total + green + matt_green * (1.0 / math.pi)
+    sums[2] += total + blue + matt_blue * (1.0 / math.pi)
+
+
+@inline
+def hash_bits(a, b, c, d):
+    """A 32-bit mix of four integers (murmur3's finaliser over a linear combination)."""
+    h = np.uint32(a) * np.uint32(0x9E3779B1) ^ np.uint32(b) * np.uint32(0x85EBCA77)
+    h = h ^ np.uint32(c) * np.uint32(0xC2B2AE3D) ^ np.uint32(d) * np.uint32(0x27D4EB2F)
+    h = np.uint32(h ^ (h >> np.uint32(16))) * np.uint32(0x85EBCA6B)
+    h = np.uint32(h ^ (h >> np.uint32(13))) * np.uint32(0xC2B2AE35)
+    return np.uint32(h ^ (h >> np.uint32(16)))
+
+
+@inline
+def wrapped(i, size, tile):
+    """Texel index beyond the border: repeated or held."""
+    if 0 <= i < size:
+        return i
+    if tile:
+        return i % size
+    return min(max(i, 0), size - 1)
+
+
+@inline
+def look_up(packed, level, column, row, tile, scale, texel):
+    """Add to ``texel`` (PACKED,) ``scale`` times the bilinear value at a position in texels (texel i at i + 1/2).
+
+    ``packed`` (N, PACKED) holds images row by row; ``level`` (3,) says where one begins, its height and its width.
+    """
+    x, y = column - 0.5, row - 0.5
+    x0, y0 = math.floor(x), math.floor(y)
+    fx, fy = x - x0, y - y0
+    begin, height, width = level[0], level[1], level[2]
+    i0, i1 = wrapped(int(x0), width, tile), wrapped(int(x0) + 1, width, tile)
+    j0, j1 = wrapped(int(y0), height, tile), wrapped(int(y0) + 1, height, tile)
+    w00, w10 = real(scale * (1.0 - fx) * (1.0 - fy)), real(scale * fx * (1.0 - fy))
+    w01, w11 = real(scale * (1.0 - fx) * fy), real(scale * fx * fy)
+    upper, lower = begin + j0 * width, begin + j1 * width
+    a, b, c, d = packed[upper + i0], packed[upper + i1], packed[lower + i0], packed[lower + i1]
+    for k in range(PACKED):
+        texel[k] += w00 * a[k] + w10 * b[k] + w01 * c[k] + w11 * d[k]
+
+
+@kernel
+def place_sample(texel, roughness_kind, weight, normalisation, block, i):
+    """Write an interpolated texel into column ``i`` of a block: the normal to unit length, the tensor with its inverse.
+
+    A tensor is inverted in double precision, its eigenvalues where the logarithm is stored.
+    """
+    x, y, z = float(texel[0]), float(texel[1]), float(texel[2])
+    length = math.sqrt(x * x + y * y + z * z)
+    if length > 1e-6:
+        x, y, z = x / length, y / length, z / length
+    else:
+        x, y, z = 0.0, 0.0, 1.0
+    block[NORMAL, i], block[NORMAL + 1, i], block[NORMAL + 2, i] = x, y, z
+    a, b, c = float(texel[P_ROUGHNESS]), float(texel[P_ROUGHNESS + 1]), float(texel[P_ROUGHNESS + 2])
+    if roughness_kind == PERCEPTUAL:
+        square = (a * a) * (a * a)
+        root = square
+        xx, yy, xy = square, square, 0.0
+        ixx, iyy, ixy = 1.0 / square, 1.0 / square, 0.0
+    elif roughness_kind == LOG_TENSOR:
+        l1, l2, cos, sin = eigen_log(a, b, c)
+        e1, e2 = math.exp(l1), math.exp(l2)
+        root = math.sqrt(e1 * e2)
+        xx, yy, xy = cos * cos * e1 + sin * sin * e2, sin * sin * e1 + cos * cos * e2, cos * sin * (e1 - e2)
+        e1, e2 = 1.0 / e1, 1.0 / e2
+        ixx, iyy, ixy = cos * cos * e1 + sin * sin * e2, sin * sin * e1 + cos * cos * e2, cos * sin * (e1 - e2)
+    else:
+        # Rounding of the stored entries can make a very eccentric tensor indefinite.
+        determinant = max(a * b - c * c, 1e-12 * a * b, 1e-30)
+        root = math.sqrt(determinant)
+        xx, yy, xy = a, b, c
+        ixx, iyy, ixy = b / determinant, a / determinant, -c / determinant
+    block[INVERSE, i], block[INVERSE + 1, i], block[INVERSE + 2, i] = ixx, iyy, ixy
+    block[TENSOR, i], block[TENSOR + 1, i], block[TENSOR + 2, i] = xx, yy, xy
+    block[AMPLITUDE, i] = normalisation / (math.pi * root)
+    block[SHAPE, i] = texel[P_SHAPE]
+    strongest = 0.0
+    for k in range(3):
+        s = float(texel[P_SPECULAR + k])
+        strongest = max(strongest, s)
+        block[SPECULAR + k, i] = weight * s
+        block[MATT + k, i] = weight * texel[P_DIFFUSE + k] * max(1.0 - s, 0.0)
+    rim = min(strongest / _LEAST_REFLECTANCE, 1.0)
+    block[RIM, i] = rim
+    block[RIM_WEIGHT, i] = weight * rim
+
+
+@kernel
+def fill_block(packed, level, roughness_kind, has_shape, tile, place, axes, strata_x, strata_y, weight_x, weight_y, first,
+               last, half, key, log_normalisation, texel, block):  # fmt: skip
+    """Fill columns 0 ... last - first - 1 of a block with one sample for each stratum first ... last - 1.
+
+    ``strata_x`` and ``strata_y`` are lower ends of the strata in pixels from the centre, one more than there are
+    strata. The sample is jittered in its stratum by a hash of ``key``, the stratum and ``half``.
+    """
+    across = strata_x.size - 1
+    normalisation = math.exp(log_normalisation(float(packed[0, P_SHAPE]))[0])
+    for number in range(first, last):
+        row = number // across
+        column = number - row * across
+        bits = hash_bits(key, row, column, half)
+        low, high = (bits & np.uint32(0xFFFF)) + 0.5, (bits >> np.uint32(16)) + 0.5
+        x = strata_x[column] + (strata_x[column + 1] - strata_x[column]) * (low / 65536.0)
+        y = strata_y[row] + (strata_y[row + 1] - strata_y[row]) * (high / 65536.0)
+        texel[:] = 0.0
+        u, v = place[0] + axes[0, 0] * x + axes[0, 1] * y, place[1] + axes[1, 0] * x + axes[1, 1] * y
+        look_up(packed, level, u, v, tile, 1.0, texel)
+        if has_shape:
+            normalisation = math.exp(log_normalisation(float(texel[P_SHAPE]))[0])
+        weight = weight_x[column] * weight_y[row]
+        place_sample(texel, roughness_kind, weight, normalisation, block, number - first)
+
+
+@kernel
+def reference_rows(packed, level, roughness_kind, has_shape, tile, footprints, starts, keys, view, frame, light,
+                   irradiance, strata_x, strata_y, weight_x, weight_y, half, out, log_normalisation, shade):  # fmt: skip
+    """Radiance of the pixels of some footprints: those of footprint g are starts[g] ... starts[g + 1] - 1.
+
+    ``footprints`` (G, 6): centre, axes row by row. ``view`` (P, 3), ``frame`` (P, 3, 3), ``out`` (P, 3) float64.
+    """
+    block = np.empty((BLOCK_ROWS, BLOCK), np.float32)
+    texel = np.empty(PACKED, np.float32)
+    v, towards, sums = np.empty(3), np.empty(3), np.empty(3)
+    axes = np.empty((2, 2))
+    samples = (strata_x.size - 1) * (strata_y.size - 1)
+    for g in range(starts.size - 1):
+        axes[0, 0], axes[0, 1], axes[1, 0], axes[1, 1] = (
+            footprints[g, 2], footprints[g, 3], footprints[g, 4], footprints[g, 5],
+        )  # fmt: skip
+        for first in range(0, samples, BLOCK):
+            last = min(first + BLOCK, samples)
+            fill_block(
+                packed, level, roughness_kind, has_shape, tile, footprints[g], axes, strata_x, strata_y, weight_x,
+                weight_y, first, last, half, keys[g], log_normalisation, texel, block,
+            )  # fmt: skip
+            for p in range(starts[g], starts[g + 1]):
+                for k in range(3):
+                    v[k] = view[p, k]
+                light_pixel(block, last - first, v, frame[p], light, irradiance, towards, sums, out[p], shade)
+
+
+@kernel
+def light_pixel(block, count, v, frame, light, irradiance, towards, sums, out, shade):
+    """Add to ``out`` (3,) what ``count`` samples reflect of all lights above the surface's own horizon."""
+    for n in range(light.shape[0]):
+        for k in range(3):
+            towards[k] = frame[k, 0] * light[n, 0] + frame[k, 1] * light[n, 1] + frame[k, 2] * light[n, 2]
+        if towards[2] <= 0.0:
+            continue
+        sums[:] = 0.0
+        shade(block, 0, count, v, towards, sums)
+        for k in range(3):
+            out[k] += irradiance[n, k] * sums[k]
+
+
+@kernel
+def sample_pyramid(packed, levels, tile, centre, base_size, detail, log_normalisation, texel, block):
+    """Write the trilinear value of a pyramid at ``centre`` (2,) in base texels into column 0 of a block.
+
+    ``levels`` (L, 3): of each level, see ``look_up``; ``base_size``: (width, height); ``detail``: continuous level.
+    """
+    top = levels.shape[0] - 1
+    clamped = min(max(detail, 0.0), float(top))
+    fine = int(clamped)
+    part = clamped - fine
+    texel[:] = 0.0
+    for k in range(2):
+        scale = 1.0 - part if k == 0 else part
+        if scale > 0.0:
+            level = levels[fine + k]
+            column, row = centre[0] * level[2] / base_size[0], centre[1] * level[1] / base_size[1]
+            look_up(packed, level, column, row, tile, scale, texel)
+    normalisation = math.exp(log_normalisation(float(texel[P_SHAPE]))[0])
+    place_sample(texel, PLAIN_TENSOR, 1.0, normalisation, block, 0)
+
+
+@kernel
+def pyramid_rows(packed, levels, tile, centre, base_size, detail, view, frame, light, irradiance, out,
+                 log_normalisation, shade):  # fmt: skip
+    """Radiance of pixels shaded once, each with the trilinear value of a pyramid. Arrays as in ``reference_rows``."""
+    block = np.empty((BLOCK_ROWS, 1), np.float32)
+    texel = np.empty(PACKED, np.float32)
+    v, towards, sums = np.empty(3), np.empty(3), np.empty(3)
+    for p in range(out.shape[0]):
+        sample_pyramid(packed, levels, tile, centre[p], base_size, detail[p], log_normalisation, texel, block)
+        for k in range(3):
+            v[k] = view[p, k]
+        light_pixel(block, 1, v, frame[p], light, irradiance, towards, sums, out[p], shade)
+
+
+@kernel
+def pair_rows(packed, level, roughness_kind, has_shape, tile, footprints, keys, view, light, weight, strata_x, strata_y,
+              weight_x, weight_y, lobes, error, square, log_normalisation, shade, other_shade):  # fmt: skip
+    """Errors of lobes at n footprints over Q pairs of directions; all float64 but ``packed`` and ``lobes``.
+
+    ``view`` and ``light`` (n, Q, 3), ``weight`` (n, Q); ``lobes`` (n, BLOCK_ROWS, M): of each footprint a block of the
+    M methods' lobes, shaded by ``other_shade``. Writes the weighted sums of (M - A)(M - B) into ``error`` (M, n) and of
+    A B into ``square`` (n,), A and B the two independent halves of the truth.
+    """
+    block = np.empty((BLOCK_ROWS, BLOCK), np.float32)
+    texel = np.empty(PACKED, np.float32)
+    axes, sums = np.empty((2, 2)), np.empty(3)
+    pairs = view.shape[1]
+    truth = np.empty((2, pairs, 3))
+    samples = (strata_x.size - 1) * (strata_y.size - 1)
+    for g in range(keys.size):
+        axes[0, 0], axes[0, 1], axes[1, 0], axes[1, 1] = (
+            footprints[g, 2], footprints[g, 3], footprints[g, 4], footprints[g, 5],
+        )  # fmt: skip
+        truth[:] = 0.0
+        for half in range(2):
+            for first in range(0, samples, BLOCK):
+                last = min(first + BLOCK, samples)
+                fill_block(
+                    packed, level, roughness_kind, has_shape, tile, footprints[g], axes, strata_x, strata_y, weight_x,
+                    weight_y, first, last, half, keys[g], log_normalisation, texel, block,
+                )  # fmt: skip
+                for pair in range(pairs):
+                    shade(block, 0, last - first, view[g, pair], light[g, pair], truth[half, pair])
+        square[g] = 0.0
+        for pair in range(pairs):
+            for k in range(3):
+                square[g] += weight[g, pair] * truth[0, pair, k] * truth[1, pair, k]
+        for m in range(error.shape[0]):
+            error[m, g] = 0.0
+            for pair in range(pairs):
+                sums[:] = 0.0
+                other_shade(lobes[g], m, m + 1, view[g, pair], light[g, pair], sums)
+                for k in range(3):
+                    error[m, g] += weight[g, pair] * (sums[k] - truth[0, pair, k]) * (sums[k] - truth[1, pair, k])
+
+
+@kernel
+def place_lobes(texels, normalisation, block):
+    """Write packed texels (n, PACKED) whose roughness is the log tensor into the columns of a block, weight 1."""
+    for i in range(texels.shape[0]):
+        place_sample(texels[i], LOG_TENSOR, 1.0, normalisation[i], block, i)

@@ -1,0 +1,113 @@
+"""The papers' figure: squared error of radiance over random pairs of light and viewer, at some texels of a level.
+
+Unlike the half-angle error it takes the whole BRDF, or what of it is switched on. With the lobe alone and
+cosine-distributed directions both are one number, computed in two ways.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.footprint import get_pixel_filter
+from brdffit.models import get_model
+from brdffit.render import _kernels
+from brdffit.render._footprints import footprint_keys, run_in_threads, sample_count, strata_rule
+from brdffit.render._packing import pack_base, pair_loop, shading_kernels
+from brdffit.render.terms import Terms
+from brdffit.svbrdf import Svbrdf
+
+
+def pair_errors(
+    base: Svbrdf,
+    levels: Sequence[Svbrdf],
+    columns: NDArray,
+    rows: NDArray,
+    pairs: int = 256,
+    seed: int = 0,
+    terms: Terms = Terms(),  # noqa: B008
+    pixel_filter: str = "box",
+    samples: int | str | None = None,
+    threads: int | None = None,
+) -> tuple[NDArray, NDArray]:
+    """Mean squared error of M versions of one level at n texels, over random pairs of light and viewer.
+
+    l and v are independent and cosine-distributed about the plane's normal. The truth is estimated twice,
+    independently, and the error is the mean of (M - A)(M - B): its own noise adds nothing on average (so a single
+    texel's error may come out slightly negative; means over texels are what is meant to be read).
+
+    Args:
+        base: the full-resolution SVBRDF.
+        levels: M versions of one level, all of one size and one lobe model.
+        columns, rows: (n,) integer texels of the level.
+        pairs: how many pairs at each texel.
+        seed: of the pairs; every version sees the same ones.
+        terms: terms of the BRDF that are lit; radiance is of a light of irradiance 1 (facing it).
+        pixel_filter: of the truth.
+        samples: of a footprint, as in ``render_halves``.
+        threads: worker threads; the result does not depend on it.
+
+    Returns:
+        (M, n) float64 squared errors, the sum over colour channels; (n,) float64 squared reference. The SNR over a
+        level is 10 log10 (sum of reference / sum of errors), or -10 log10 of the mean of their quotients, which is
+        ``halfangle.measure.snr``.
+    """
+    size, model = levels[0].size, get_model(levels[0].model)
+    packed, loop = pack_base(base), pair_loop()
+    columns, rows = np.asarray(columns, np.int64), np.asarray(rows, np.int64)
+    scale = base.size[1] / size[1], base.size[0] / size[0]
+    place = np.zeros((len(columns), 6))
+    place[:, 0], place[:, 1] = (columns + 0.5) * scale[0], (rows + 0.5) * scale[1]
+    place[:, 2], place[:, 5] = scale
+    key = footprint_keys(place)
+    rule = strata_rule(get_pixel_filter(pixel_filter), *sample_count(place[:1], samples)[0].tolist())
+    view, light = _directions(np.random.default_rng(seed), len(columns), pairs)
+    weight = np.full(view.shape[:2], 1.0 / pairs)
+    lobes = _lobes(levels, columns, rows, model.log_normalisation)
+    error, square = np.zeros((len(levels), len(columns))), np.zeros(len(columns))
+    log_normalisation, shade = shading_kernels(base.model, terms)
+    other_shade = shading_kernels(model.name, terms)[1]
+
+    def work(i: int) -> int:
+        part = slice(i, i + 1)
+        found = np.zeros((len(levels), 1))
+        loop(
+            packed.texels, packed.levels[0], packed.roughness_kind, packed.has_shape, packed.tile, place[part],
+            key[part], view[part], light[part], weight[part], *rule, lobes[part], found, square[part],
+            log_normalisation, shade, other_shade,
+        )  # fmt: skip
+        error[:, part] = found
+        return 1
+
+    run_in_threads(work, [(i,) for i in range(len(columns))], threads, None, len(columns))
+    return error, square
+
+
+def _directions(random: np.random.Generator, texels: int, pairs: int) -> tuple[NDArray, NDArray]:
+    """(view, light), each (n, Q, 3) float64, cosine-distributed."""
+    u = random.random((2, texels, pairs, 2))
+    radius, angle = np.sqrt(u[..., 0]), 2.0 * math.pi * u[..., 1]
+    both = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - u[..., 0])], axis=-1)
+    return both[0], both[1]
+
+
+def _lobes(levels: Sequence[Svbrdf], columns: NDArray, rows: NDArray, log_normalisation) -> NDArray:  # type: ignore[no-untyped-def]
+    """Blocks (n, BLOCK_ROWS, M) float32 of the lobes of M levels at n texels."""
+    default = get_model(levels[0].model).default_shape
+    out = np.zeros((len(columns), _kernels.BLOCK_ROWS, len(levels)), np.float32)
+    for m, level in enumerate(levels):
+        texels = np.zeros((len(columns), _kernels.PACKED), np.float32)
+        for place, array in (
+            (_kernels.P_NORMAL, level.normal), (_kernels.P_ROUGHNESS, level.log_roughness),
+            (_kernels.P_SPECULAR, level.specular), (_kernels.P_DIFFUSE, level.diffuse),
+        ):  # fmt: skip
+            texels[:, place : place + 3] = array[rows, columns]
+        texels[:, _kernels.P_SHAPE] = default if level.shape is None else level.shape[rows, columns]
+        scale = np.array([math.exp(log_normalisation(float(s))[0]) for s in texels[:, _kernels.P_SHAPE]])
+        block = np.zeros((_kernels.BLOCK_ROWS, len(columns)), np.float32)
+        _kernels.place_lobes(texels, scale, block)
+        out[:, :, m] = block.T
+    return out

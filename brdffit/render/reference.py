@@ -1,0 +1,215 @@
+"""The truth, and what a pyramid makes of it: pictures in linear radiance, and errors over random lights and viewers.
+
+The truth is texture-space shading (Kemppinen et al. 2023, equations 2 and 3): every point of the base, interpolated
+bilinearly between its texels, is shaded with the pixel's own light and view directions, and what it reflects is
+averaged under the pixel filter, GT(x, l, v) = (p * f(theta, l, v))(x). A pyramid is shaded once a pixel, with the
+trilinear value of its levels.
+
+The average is taken over strata of the footprint, one point jittered inside each by a hash of footprint and stratum: no
+texel grid beats against the strata, the estimate has no bias at any number of samples, and the picture is the same
+whatever the threads. Two such sets, independent of each other, make a picture, and their difference is its own error.
+Pixels that show the same part of a texture that repeats share their samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError
+from brdffit.footprint import get_pixel_filter
+from brdffit.methods import Pyramid
+from brdffit.render import lights as light_sets
+from brdffit.render._footprints import (
+    PIXELS_PER_PIECE,
+    SAMPLES,
+    Progress,
+    Rule,
+    equal_samples,
+    group_footprints,
+    pieces,
+    run_in_threads,
+    strata_rule,
+)  # fmt: skip
+from brdffit.render._packing import pack_base, pack_levels, pyramid_loop, reference_loop, shading_kernels
+from brdffit.render.environment import Environment
+from brdffit.render.lights import Lights
+from brdffit.render.pairs import pair_errors
+from brdffit.render.scenes import Scene, level_of_detail
+from brdffit.render.terms import Terms
+from brdffit.svbrdf import Svbrdf
+
+__all__ = ["SAMPLES", "Progress", "Reference", "pair_errors", "render_halves", "render_pyramid", "render_reference"]
+
+
+class Reference(NamedTuple):
+    """A reference picture and what is known of its own noise.
+
+    Attributes:
+        radiance: (h, w, 3) float32, linear.
+        halves: (2, h, w, 3) float32, the two independent estimates that it is the mean of. For any other picture M the
+            mean of (M - halves[0]) (M - halves[1]) is its squared error against the truth, free of the halves' noise.
+    """
+
+    radiance: NDArray
+    halves: NDArray
+
+    @property
+    def squared_error(self) -> NDArray:
+        """(h, w, 3) float32, estimate of the picture's own squared error: a quarter of the squared difference."""
+        return 0.25 * np.square(self.halves[0] - self.halves[1])
+
+    @property
+    def noise_db(self) -> float:
+        """The picture's own SNR in dB; infinite where both halves agree."""
+        return _db(float(np.sum(self.squared_error, dtype=np.float64)), self.halves)
+
+
+def render_reference(
+    base: Svbrdf,
+    scene: Scene,
+    lights: Lights | None = None,
+    *,
+    environment: Environment | None = None,
+    terms: Terms = Terms(),  # noqa: B008
+    pixel_filter: str = "box",
+    samples: int | str | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> NDArray:
+    """The reference picture: linear radiance (h, w, 3) float32. Arguments as in ``render_halves``."""
+    return render_halves(
+        base, scene, lights, environment=environment, terms=terms, pixel_filter=pixel_filter, samples=samples,
+        threads=threads, progress=progress,
+    ).radiance  # fmt: skip
+
+
+def render_halves(
+    base: Svbrdf,
+    scene: Scene,
+    lights: Lights | None = None,
+    *,
+    environment: Environment | None = None,
+    terms: Terms = Terms(),  # noqa: B008
+    pixel_filter: str = "box",
+    samples: int | str | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Reference:
+    """The reference picture together with the two independent halves it is made of.
+
+    Args:
+        base: the full-resolution SVBRDF; its size is that of ``scene.base_size``.
+        scene: what the camera sees.
+        lights: directional lights; None takes ``lights.few()`` unless an environment is given.
+        environment: an ``environment.Environment`` around the surface, or None.
+        terms: terms of the BRDF that are lit.
+        pixel_filter: "box", "gaussian" or "mitchell", in pixels; the scene carries it to the texture.
+        samples: of a footprint: a preset's name ("draft", "standard", "fine"; None takes "standard") or their number.
+        threads: worker threads; None takes one a core. The picture does not depend on it.
+        progress: called with (pixels done, pixels).
+
+    Raises:
+        InputError: when the scene was made for a base of another size, or the base holds numbers that are not finite.
+        UnknownNameError: for an unknown pixel filter or preset.
+    """
+    _check(base, scene.base_size)
+    chosen = get_pixel_filter(pixel_filter)
+    lights = lights if lights is not None else light_sets.few()
+    packed, pixels = pack_base(base), _Pixels(scene)
+    loop, kernels = reference_loop(), shading_kernels(base.model, terms)
+    footprints = group_footprints(pixels.centre, pixels.axes, scene.base_size, packed.tile)
+    direction, irradiance = lights.direction.astype(np.float64), lights.irradiance.astype(np.float64)
+    view, frame = pixels.view[footprints.order], pixels.frame[footprints.order]
+    found = np.zeros((2, len(view), 3))
+
+    def work(rule: Rule, part: slice) -> int:
+        starts = footprints.starts[part.start : part.stop + 1]
+        inside = slice(int(starts[0]), int(starts[-1]))
+        for half in (0, 1):
+            loop(
+                packed.texels, packed.levels[0], packed.roughness_kind, packed.has_shape, packed.tile,
+                footprints.place[part], starts - starts[0], footprints.key[part], view[inside], frame[inside],
+                direction, irradiance, *rule, half, found[half, inside], *kernels,
+            )  # fmt: skip
+        return inside.stop - inside.start
+
+    jobs = []
+    for part, count in equal_samples(footprints.place, samples):
+        rule = strata_rule(chosen, *count)
+        jobs += [(rule, piece) for piece in pieces(footprints.starts, part)]
+    run_in_threads(work, jobs, threads, progress, len(view))
+    halves = np.zeros((2, *scene.pixels, 3), np.float32)
+    halves[:, pixels.rows[footprints.order], pixels.columns[footprints.order]] = found
+    return Reference(halves.mean(axis=0), halves)
+
+
+def render_pyramid(
+    pyramid: Pyramid | Sequence[Svbrdf],
+    scene: Scene,
+    lights: Lights | None = None,
+    *,
+    environment: Environment | None = None,
+    terms: Terms = Terms(),  # noqa: B008
+    threads: int | None = None,
+) -> NDArray:
+    """The picture of a pyramid, shaded once a pixel: linear radiance (h, w, 3) float32.
+
+    Between texels and levels the channels are interpolated that the EXR files store: the normal (then brought to unit
+    length), the roughness tensor in alpha^2, and linear colours. Levels are chosen by ``scenes.level_of_detail``,
+    clamped to those that the pyramid has. Arguments as in ``render_halves``; ``pyramid`` may be a list of levels.
+
+    Raises:
+        InputError: when the scene was made for a base of another size than level 0.
+    """
+    levels = [level.svbrdf for level in pyramid.levels] if isinstance(pyramid, Pyramid) else list(pyramid)
+    _check(levels[0], scene.base_size)
+    lights = lights if lights is not None else light_sets.few()
+    packed, pixels = pack_levels(levels), _Pixels(scene)
+    loop, kernels = pyramid_loop(), shading_kernels(packed.model, terms)
+    detail = level_of_detail(scene)[pixels.rows, pixels.columns].astype(np.float64)
+    base_size = np.array(scene.base_size[::-1], np.float64)
+    direction, irradiance = lights.direction.astype(np.float64), lights.irradiance.astype(np.float64)
+    found = np.zeros((len(detail), 3))
+
+    def work(part: slice) -> int:
+        loop(
+            packed.texels, packed.levels, packed.tile, pixels.centre[part], base_size, detail[part], pixels.view[part],
+            pixels.frame[part], direction, irradiance, found[part], *kernels,
+        )  # fmt: skip
+        return part.stop - part.start
+
+    step = PIXELS_PER_PIECE
+    jobs = [(slice(i, min(i + step, len(found))),) for i in range(0, len(found), step)]
+    run_in_threads(work, jobs, threads, None, len(found))
+    picture = np.zeros((*scene.pixels, 3), np.float32)
+    picture[pixels.rows, pixels.columns] = found
+    return picture
+
+
+class _Pixels:
+    """The covered pixels of a scene, one after another, as the loops want them: contiguous, double precision."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.rows, self.columns = np.nonzero(scene.coverage > 0.0)
+        at = self.rows, self.columns
+        self.centre, self.axes, self.view, self.frame = (
+            np.ascontiguousarray(array[at], np.float64) for array in (scene.centre, scene.axes, scene.view, scene.frame)
+        )
+
+
+def _check(base: Svbrdf, base_size: tuple[int, int]) -> None:
+    if base.size != tuple(base_size):
+        raise InputError(f"The scene was made for a base of {base_size} texels, but this one has {base.size}.")
+    if not base.is_finite():
+        raise InputError("The SVBRDF holds numbers that are not finite; every texel must be a finite number.")
+
+
+def _db(error: float, halves: NDArray) -> float:
+    """SNR of a squared error against the product of two halves, whose noise is independent."""
+    signal = float(np.sum(halves[0].astype(np.float64) * halves[1]))
+    return math.inf if error <= 0.0 else 10.0 * math.log10(max(signal, 1e-300) / error)
