@@ -134,6 +134,54 @@ def bake(source: str, output: Path, bits: str, no_preview: bool, show: bool, **o
         show_picture(report.folder / "preview.png")
 
 
+def _shard(ctx: click.Context, parameter: click.Parameter, text: str | None) -> tuple[int, int] | None:
+    """i/n as two numbers."""
+    if text is None:
+        return None
+    part, slash, parts = text.partition("/")
+    if not (slash and part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):
+        raise click.BadParameter(f"'{text}' is not of the form i/n with 1 <= i <= n, for example 3/8.")
+    return int(part), int(parts)
+
+
+#: Options of a bake that stand for every set of a library.
+_SHARED = [
+    each for each in bake.params if each.name not in ("source", "output", "no_preview", "show", "threads", "roles")
+]
+
+
+@main.command(params=[*_SHARED])
+@click.argument("root", type=click.Path(path_type=Path))
+@click.option("-o", "--output", default="out", metavar="FOLDER", help="Or an address that fsspec knows.")
+@click.option("--settings", type=click.Path(path_type=Path), show_default="ROOT/library.toml", help="By patterns.")
+@click.option("--only", multiple=True, metavar="PATTERN", help="Only sets whose place matches, as metal/*; repeatable.")
+@click.option("--shard", callback=_shard, metavar="I/N", help="Only the I-th of N parts, for array jobs.")
+@click.option("--force", is_flag=True, help="Bake also what is up to date.")
+@click.option("--dry-run", is_flag=True, help="Say what would be baked, and why.")
+@click.option("--workers", type=click.IntRange(min=1), show_default="one a core", help="Processes.")
+@click.option("--memory", type=click.FloatRange(0, min_open=True), metavar="GIB", show_default="4/5 of the machine's")
+@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask scheduler that does the work, as tcp://host:8786.")
+@click.pass_context
+def library(context: click.Context, root: Path, output: str, memory: float | None, **options: Any) -> None:
+    """Bake every texture set below ROOT; sets that are up to date are skipped.
+
+    A run that was stopped goes on where it was. The exit code is 1 if a set failed; all others are baked.
+    """
+    from brdffit.library.display import LibraryDisplay, print_plan, print_summary
+    from brdffit.library.run import run_library
+
+    chosen = {name: context.params[name] for name in (each.name or "" for each in _SHARED)}
+    source = context.get_parameter_source
+    given = {name: value for name, value in chosen.items() if source(name) != click.core.ParameterSource.DEFAULT}
+    run = {name: value for name, value in options.items() if name not in chosen}
+    bytes_ = None if memory is None else int(memory * 2**30)
+    with LibraryDisplay() as display:
+        summary = run_library(root, output, memory=bytes_, listener=display, **run, **given)
+    print_plan(summary.plan) if options["dry_run"] else print_summary(summary, output)
+    if summary.failures or summary.plan.failures:
+        context.exit(1)
+
+
 @main.command()
 @click.argument("source", metavar="SET")
 @_reading_options

@@ -14,6 +14,7 @@ import math
 import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ def build_manifest(
     status_names: Sequence[str] = (),
     measured: Sequence[Mapping[str, Any]] = (),
     notes: Iterable[str] = (),
+    digests: Mapping[Path, str] | None = None,
 ) -> dict[str, Any]:
     """The manifest of a pyramid, before it is written (`write_pyramid` adds what it wrote).
 
@@ -47,6 +49,7 @@ def build_manifest(
         status_names: name of each code of ``Level.status``.
         measured: per level what was measured against the reference, such as ``snr_db`` and ``energy_kept``.
         notes: sentences for the user, after the method's own.
+        digests: SHA-256 of inputs as they were when they were read; files without one are hashed now.
 
     Raises:
         OSError: when an input cannot be read any more.
@@ -54,6 +57,7 @@ def build_manifest(
     options = dataclasses.asdict(pyramid.options)
     threads = options.pop("threads")
     base = pyramid[0].svbrdf
+    known = digests or {}
     return {
         "format": FORMAT,
         "name": name,
@@ -64,7 +68,7 @@ def build_manifest(
         "wrap": base.wrap,
         "conventions": dict(conventions or {}),
         "inputs": [
-            {"role": role, "file": Path(path).name, "sha256": file_digest(path)}
+            {"role": role, "file": Path(path).name, "sha256": known.get(Path(path)) or file_digest(path)}
             for role, path in sorted((role, str(path)) for role, path in inputs)
         ],
         "levels": [
@@ -107,6 +111,12 @@ def level_record(
 
 def versions() -> dict[str, str]:
     """Versions of Python, of this package and of what its numbers depend on."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
+    # Looked up once: it takes longer than a small set.
     found = {"python": platform.python_version()}
     for package in _PACKAGES:
         try:

@@ -1,0 +1,181 @@
+"""One set of a library: read it, then bake it. Two steps, so that the next set is read while this one is fitted.
+
+The files are those of ``brdffit.baking.bake_to_folder``; the manifest also holds the request (see ``state``), and
+``preview.png`` is a thumbnail.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from brdffit import baking
+from brdffit.errors import BrdffitError, InputError
+from brdffit.fitting.status import STATUS_NAMES
+from brdffit.library import store
+from brdffit.library.grouping import named_group
+from brdffit.library.state import build_request, code_digest, input_files
+from brdffit.library.task import Outcome, Task
+from brdffit.library.thumbnail import make_thumbnail
+from brdffit.methods import Method, get_method
+from brdffit.svbrdf import Svbrdf
+from brdffit.textures import texture_set as sets
+from brdffit.textures.conversion import to_svbrdf
+from brdffit.textures.image_io import file_sha256
+from brdffit.textures.manifest import build_manifest
+from brdffit.textures.orientation import settle_normal_y
+from brdffit.textures.texture_set import Map, TextureSet, read_texture_set
+
+_methods: dict[str, Method] = {}
+
+
+@dataclass
+class ReadSet:
+    """A task with its texels in memory.
+
+    Attributes:
+        texture_set, svbrdf: what was read.
+        request: what the result will be of.
+        digests: SHA-256 of each file that could be read.
+        seconds: spent on it.
+    """
+
+    texture_set: TextureSet
+    svbrdf: Svbrdf
+    request: dict[str, Any]
+    digests: dict[Path, str]
+    seconds: float
+
+
+def read_set(task: Task) -> ReadSet:
+    """Hash the inputs of a task, and decode them.
+
+    Raises:
+        InputError: for a set that cannot be used, or whose files change while they are read.
+    """
+    start = time.perf_counter()
+    if task.code != code_digest(task.method):
+        raise InputError(
+            f"'{task.found.source}' was not baked: this worker runs other sources of brdffit than the run that "
+            "sent it, expected the same; start the run, or the workers, again."
+        )
+    files = input_files(task)
+    before = _stamps(files)
+    digests = {name: file_sha256(path) for name, path in files.items()}
+    texture_set = open_set(task)
+    svbrdf = to_svbrdf(texture_set, min_roughness=baking.bake_options(task.preset, task.options).min_roughness)
+    if _stamps(input_files(task)) != before:
+        raise InputError(f"The files of '{task.found.source}' changed while they were read: run again for this set.")
+    by_path = {path: digests[name] for name, path in files.items()}
+    return ReadSet(texture_set, svbrdf, build_request(task, digests), by_path, time.perf_counter() - start)
+
+
+def open_set(task: Task) -> TextureSet:
+    """The texture set of a task; its pixels are read later.
+
+    Raises:
+        InputError: as ``read_texture_set``.
+    """
+    found, reading = task.found, task.reading
+    if found.files is None:
+        texture_set = read_texture_set(found.source, **reading)
+        texture_set.name = found.name
+        return texture_set
+    # As read_texture_set, of some files of a folder that holds more.
+    named = named_group(found.folder, found.files, found.udim)
+    maps = {
+        role: Map(role, found.folder / each.file, each.channel, word=each.word) for role, each in named.maps.items()
+    }
+    texture_set = TextureSet(name=found.name, maps=maps, notes=list(named.notes))
+    texture_set.wrap, texture_set.height_scale = reading["wrap"], reading["height_scale"]
+    texture_set.maps |= sets._explicit(found.folder, dict(reading["roles"] or {}))
+    sets._normal_y_from_names(texture_set, named)
+    sets._check_sizes(texture_set, found.folder)
+    if not {"normal", "height"} & texture_set.maps.keys():
+        files = ", ".join(found.files)
+        raise InputError(
+            f"'{found.source}' has no normal map and no height map for '{found.name}' (found: {files}), expected one "
+            "of them."
+        )
+    if "normal" in texture_set.maps:
+        settle_normal_y(texture_set, reading["normal_y"])
+    return texture_set
+
+
+def bake_set(task: Task, read: ReadSet, threads: int) -> Outcome:
+    """Fit, measure and write a set that was read.
+
+    Raises:
+        BrdffitError: as ``bake_to_folder``.
+    """
+    seconds = {"reading": read.seconds}
+    clock = time.perf_counter()
+
+    def lap(phase: str) -> None:
+        nonlocal clock
+        now = time.perf_counter()
+        seconds[phase], clock = now - clock, now
+
+    svbrdf = read.svbrdf
+    options = dataclasses.replace(baking.bake_options(task.preset, task.options), threads=threads)
+    if task.method not in _methods:
+        _methods[task.method] = get_method(task.method)
+    with store.writing(task, svbrdf.size) as write:
+        pyramid = _methods[task.method].bake(svbrdf, options)
+        lap("fitting")
+        measured = baking.assess(svbrdf, pyramid)
+        lap("measuring")
+        thumbnail = make_thumbnail(svbrdf, pyramid)
+        lap("thumbnail")
+        manifest = build_manifest(
+            pyramid,
+            name=task.found.name,
+            inputs=baking._inputs(read.texture_set),
+            conventions=baking._conventions(read.texture_set),
+            status_names=STATUS_NAMES,
+            measured=measured,
+            notes=read.texture_set.notes,
+            digests=read.digests,
+        )
+        manifest["request"] = read.request
+        manifest["volatile"]["phases"] = dict(seconds)
+        write(pyramid, manifest, thumbnail)
+    lap("writing")
+    return Outcome(task.key, None, sum(level["texels"] for level in manifest["levels"]), seconds)
+
+
+def warm_up(methods_and_models: set[tuple[str, str]]) -> None:
+    """Compile, or load, all that these methods and lobe models need, by a bake of a few texels."""
+    flat = np.zeros((4, 4, 3), np.float32)
+    svbrdf = Svbrdf(flat + np.array([0, 0, 1], np.float32), flat - 3.0, flat + 0.5, flat + 0.5, height=flat[..., 0])
+    for method, model in sorted(methods_and_models):
+        options = baking.BakeOptions(model=model, quality="draft", threads=1)
+        pyramid = get_method(method).bake(svbrdf, options)
+        baking.assess(svbrdf, pyramid)
+        make_thumbnail(svbrdf, pyramid)
+
+
+def sentence_of(error: BaseException, task: Task) -> str:
+    """What is said of a set that failed."""
+    if isinstance(error, BrdffitError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"'{task.found.source}' needs more memory than there is: leave it out, or bake it on a larger machine."
+    return f"'{task.found.source}' failed by an error of the program ({type(error).__name__}: {error})."
+
+
+def _stamps(files: dict[str, Path]) -> dict[str, tuple[int, ...]]:
+    stamps: dict[str, tuple[int, ...]] = {}
+    for name, path in files.items():
+        try:
+            stat = os.stat(path)
+        except OSError as error:
+            raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
+        stamps[name] = (stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino)
+    return stamps

@@ -1,0 +1,147 @@
+"""Several materials, or UDIM tiles, in one folder: which of its files belong together.
+
+Files belong together whose names agree but for the role, resolution and file-type words: the stems that
+``textures.naming`` leaves over. Of UDIM files (``Name_Role.1001.png``) each tile is a set of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from brdffit.errors import InputError
+from brdffit.textures.image_io import read_info
+from brdffit.textures.naming import _LETTERS as LETTERS
+from brdffit.textures.naming import NamedSet, name_tokens, roles_from_names
+
+#: Tiles are numbered 1001 + u + 10 v; after an underscore the number may be a resolution, and counts with others only.
+_UDIM = re.compile(r"^(?P<rest>.*)(?P<mark>[._])(?P<tile>1[0-9]{3})$")
+_SURFACE = {"normal", "height"}
+
+
+@dataclass(frozen=True)
+class Group:
+    """Files of one material: its name as the files have it, and its tile, if it is one."""
+
+    name: str
+    files: tuple[str, ...]
+    udim: int | None = None
+
+
+def groups_of(folder: Path, images: Sequence[str]) -> list[Group] | None:
+    """The materials among the images of a folder, where they are several; None where the folder is one set or none.
+
+    A group that has neither normal nor height map counts if at least two of its files have a role: it will be refused
+    with its sentence, where a lone picture is just left out.
+    """
+    tiles = udim_tiles(images)
+    if tiles:
+        found = []
+        for tile, renamed in sorted(tiles.items()):
+            parts = _by_stem(folder, list(renamed)) or [Group(_common_name(list(renamed)), tuple(renamed))]
+            for group in parts:
+                files = tuple(sorted(renamed[file] for file in group.files))
+                found.append(Group(f"{group.name}.{tile}" if group.name else str(tile), files, tile))
+        rest = sorted(set(images) - {file for group in found for file in group.files})
+        return [*found, *(_by_stem(folder, rest) or _alone(folder, rest))]
+    return _by_stem(folder, images) if named_with_alpha(folder, images).rivals else None
+
+
+def udim_tiles(images: Sequence[str]) -> dict[int, dict[str, str]]:
+    """Files of each UDIM tile: the name without the tile's number, and the file; empty where there are none."""
+    tiles: dict[int, dict[str, str]] = {}
+    marks = set()
+    for file in images:
+        stem, _, suffix = file.rpartition(".")
+        match = _UDIM.match(stem)
+        if match and roles_from_names([f"{match['rest']}.{suffix}"]).maps:
+            tiles.setdefault(int(match["tile"]), {})[f"{match['rest']}.{suffix}"] = file
+            marks.add(match["mark"])
+    return {} if marks == {"_"} and (len(tiles) < 2 or 1001 not in tiles) else tiles
+
+
+def named_with_alpha(folder: Path, images: Sequence[str]) -> NamedSet:
+    """Roles of a folder's images; their headers are read only where names alone do not settle it."""
+    named = roles_from_names(images)
+    if _SURFACE & named.maps.keys() and not named.rivals:
+        return named
+    return roles_from_names(images, [file for file in images if _has_alpha(folder / file)])
+
+
+def named_group(folder: Path, files: Sequence[str], udim: int | None) -> NamedSet:
+    """Roles of the files of one group; of a tile, by the names without its number."""
+    if udim is None:
+        return named_with_alpha(folder, files)
+    renamed = {_UDIM.sub(r"\g<rest>", file.rpartition(".")[0]) + "." + file.rpartition(".")[2]: file for file in files}
+    alpha = [name for name, file in renamed.items() if _has_alpha(folder / file)]
+    named = roles_from_names(renamed, alpha)
+    maps = {role: replace(each, file=renamed[each.file]) for role, each in named.maps.items()}
+    return NamedSet(maps, [renamed[file] for file in named.ignored], named.notes, named.rivals)
+
+
+def _has_alpha(path: Path) -> bool:
+    try:
+        return len(read_info(path).channels) in (2, 4)
+    except InputError:
+        return False
+
+
+def _alone(folder: Path, images: list[str]) -> list[Group]:
+    """What is left beside tiles, if it is a set."""
+    maps = named_with_alpha(folder, images).maps if images else {}
+    return [Group(_common_name(images), tuple(images))] if _SURFACE & maps.keys() else []
+
+
+def _by_stem(folder: Path, images: Sequence[str]) -> list[Group] | None:
+    """Groups by stem, where two or more have a surface."""
+    stems: dict[str, list[str]] = {}
+    for file in images:
+        stem = _stem(file)
+        if stem is not None:
+            stems.setdefault(stem, []).append(file)
+    groups, surfaces = [], 0
+    for stem, files in sorted(stems.items()):
+        has_surface = bool(_SURFACE & named_with_alpha(folder, files).maps.keys())
+        surfaces += has_surface
+        if has_surface or len(files) > 1:
+            groups.append(Group(_common_name(files) or stem, tuple(files)))
+    if surfaces < 2:
+        return None
+    names = [group.name for group in groups]
+    return [
+        group if names.count(group.name) == 1 else Group(group.files[0].rpartition(".")[0], group.files)
+        for group in groups
+    ]
+
+
+def _stem(file: str) -> str | None:
+    """The words of a file's name without those that tell its roles; None for a file without a role."""
+    tokens = name_tokens(file.rpartition(".")[0])
+    words = {found.word for found in roles_from_names([file], [file]).maps.values()}
+    if not words and tokens and tokens[-1] in LETTERS:
+        words = {tokens[-1]}  # whether it is a role is told by its company, once the group is known
+    if not words:
+        return None
+    while True:
+        for start in range(len(tokens)):
+            if "".join(tokens[start:]) in words:
+                tokens = tokens[:start]
+                break
+        else:
+            return "".join(tokens)
+
+
+def _common_name(files: Sequence[str]) -> str:
+    """What the names begin with, up to a separator."""
+    if len(files) == 1:
+        return files[0].rpartition(".")[0]
+    common = os.path.commonprefix(list(files))
+    following = {file[len(common) : len(common) + 1] for file in files}
+    if not all(re.fullmatch(r"[^A-Za-z0-9]|[A-Z]|", letter) for letter in following) and not re.search(
+        r"[^A-Za-z0-9]$", common
+    ):
+        common = re.sub(r"[A-Za-z0-9]+$", "", common) or common
+    return common.strip(" ._-")

@@ -1,0 +1,136 @@
+"""Whether a set must be baked again: the request that its manifest holds against the one that would be made now.
+
+A request is everything that a result depends on: the contents of every file that could be read (by SHA-256, used or
+not: a new map may take another's place), how they are read, all options, the sources of the program, and the versions
+of what its numbers depend on. Files are always hashed, never trusted by size or date: a set cannot be skipped wrongly,
+and hashing reads a library in a fraction of the time a bake takes. What is written is checked by presence and size.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import inspect
+import json
+import os
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from brdffit.baking import bake_options
+from brdffit.errors import InputError
+from brdffit.library.discovery import material_file, references
+from brdffit.library.task import Task
+from brdffit.methods import get_method
+from brdffit.textures.image_io import IMAGE_SUFFIXES, file_sha256
+from brdffit.textures.manifest import FORMAT, versions
+from brdffit.textures.materials import SUFFIXES
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+#: Sources that no pixel depends on.
+_NO_MATTER = ("cli.py", "console.py", "library/", "report/")
+#: Sources of the library that its pictures and manifests depend on.
+_MATTER = ("library/bake.py", "library/state.py", "library/thumbnail.py")
+
+
+@cache
+def code_digest(method: str = "bfgs") -> str:
+    """SHA-256 of the sources that a bake by this method runs through: kernels, methods, readers and writers."""
+    digest = hashlib.sha256()
+    baselines = _PACKAGE.parent / "baselines"
+    for root in (_PACKAGE, baselines):
+        for path in sorted(root.rglob("*.py")):
+            place = path.relative_to(root).as_posix()
+            if root == baselines or place in _MATTER or not place.startswith(_NO_MATTER):
+                digest.update(f"{place}\0".encode() + path.read_bytes())
+    source = inspect.getsourcefile(type(get_method(method)))
+    if source is not None:  # a method from elsewhere
+        digest.update(Path(source).read_bytes())
+    return digest.hexdigest()
+
+
+def input_files(task: Task) -> dict[str, Path]:
+    """Every file that could be read for a task, by its name as the request has it: relative to the set's folder.
+
+    Raises:
+        InputError: when the folder cannot be read.
+    """
+    found, folder = task.found, task.found.folder
+    try:
+        if found.files is not None:
+            paths = [folder / name for name in found.files]
+        elif found.source.is_file():
+            paths = []
+        else:
+            kinds = (*IMAGE_SUFFIXES, *SUFFIXES)
+            names = sorted(os.listdir(folder))
+            paths = [folder / name for name in names if name.lower().endswith(kinds) and not name.startswith(".")]
+        entry = material_file(found)
+    except OSError as error:
+        raise InputError(f"'{found.source}' cannot be read: {error.strerror}.") from error
+    paths += references(entry) if entry is not None else []
+    for text in (task.reading["roles"] or {}).values():
+        file, _, channel = text.rpartition(":")
+        paths.append(folder / (file if file and channel.upper() in ("R", "G", "B", "A") else text))
+    return {Path(os.path.relpath(path, folder)).as_posix(): path for path in paths}
+
+
+def build_request(task: Task, digests: Mapping[str, str]) -> dict[str, Any]:
+    """The request of a task whose files have these digests."""
+    options = dataclasses.asdict(bake_options(task.preset, task.options))
+    del options["threads"]
+    return {
+        "name": task.found.name,
+        "reading": task.reading,
+        "method": task.method,
+        "preset": task.preset,
+        "bits": task.bits,
+        "options": options,
+        "grouped": task.found.files is not None,
+        "files": dict(sorted(digests.items())),
+        "code": task.code,
+    }
+
+
+def current_request(task: Task) -> dict[str, Any]:
+    """The request that would be made now.
+
+    Raises:
+        InputError: when an input cannot be read.
+    """
+    return build_request(task, {name: file_sha256(path) for name, path in input_files(task).items()})
+
+
+def reason_to_bake(task: Task, manifest: Mapping[str, Any] | None, size_of: Callable[[str], int | None]) -> str | None:
+    """Why a set must be baked, in a few words; None where what is there is what would be written.
+
+    Args:
+        task: the set and its options.
+        manifest: of the set's output, or None.
+        size_of: bytes of a file of the output by its relative name, or None where it is missing.
+    """
+    if manifest is None:
+        return "new"
+    try:
+        if manifest["format"] != FORMAT or manifest["versions"] != versions():
+            return "another version"
+        was, files = manifest["request"], manifest["files"]
+        if any(size_of(name) != said["bytes"] for name, said in files.items()):
+            return "incomplete"
+        # Cheap first: what is told without reading an input.
+        paths = input_files(task)
+        now = json.loads(json.dumps(build_request(task, dict.fromkeys(paths, ""))))
+        if was["code"] != now["code"]:
+            return "another version"
+        if {**was, "files": None} != {**now, "files": None}:
+            return "other options"
+        if was["files"].keys() != paths.keys() or any(
+            file_sha256(path) != was["files"][name] for name, path in paths.items()
+        ):
+            return "other inputs"
+    except (KeyError, TypeError, AttributeError):
+        return "another version"
+    except InputError:
+        return "other inputs"
+    return None
