@@ -37,12 +37,12 @@ def test_relative_l2_is_equation_5_and_divides_by_the_prediction():
     assert metrics.relative_l2(0 * REFERENCE, REFERENCE, epsilon=0.1) == pytest.approx(75 / 9 / 0.1)
 
 
-def test_snr_of_errors_is_the_mean_of_quotients():
-    errors, power = np.array([[0.1, 4.0, 7.0], [0.0, 0.0, 0.0]]), np.array([1.0, 10.0, 0.0])
+def test_snr_of_errors_is_the_quotient_of_sums():
+    errors, power = np.array([[0.1, 4.0, 0.4], [0.0, 0.0, 0.0], [-0.1, 0.05, 0.0]]), np.array([1.0, 10.0, 4.0])
     found = metrics.snr_of_errors(errors, power)
-    assert found[0] == pytest.approx(-10 * math.log10((0.1 + 0.4) / 2))
-    assert found[1] == math.inf
-    assert np.isinf(metrics.snr_of_errors(errors, 0 * power)).all()
+    assert found[0] == pytest.approx(-10 * math.log10(4.5 / 15.0))
+    # No error, and an estimate of it that noise took below zero.
+    assert found[1] == found[2] == math.inf
 
 
 def test_energy_by_hand():

@@ -112,9 +112,7 @@ def representative_texels(errors: NDArray, columns: NDArray, rows: NDArray, coun
     return [(int(columns[order[i]]), int(rows[order[i]])) for i in chosen]
 
 
-def same_place(
-    texel: tuple[int, int], size: Sequence[int], other_size: Sequence[int], base_size: Sequence[int]
-) -> tuple[int, int]:
+def same_place(texel: tuple[int, int], size: Sequence[int], other_size: Sequence[int]) -> tuple[int, int]:
     """The texel (column, row) of another level that holds the centre of a texel; sizes are (height, width)."""
     column = (texel[0] + 0.5) / size[1] * other_size[1]
     row = (texel[1] + 0.5) / size[0] * other_size[0]

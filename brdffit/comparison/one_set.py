@@ -22,7 +22,7 @@ from brdffit.halfangle.measure import Measured, measure, random_texels, snr
 from brdffit.methods import Pyramid, get_method
 from brdffit.models import get_model
 from brdffit.render import metrics, scenes
-from brdffit.render.reference import pair_errors
+from brdffit.render.pairs import pair_errors
 from brdffit.render.terms import Terms
 from brdffit.report.records import (
     KEPT_SUFFIX,
@@ -160,9 +160,8 @@ class SetWork:
         source, options = get_model(self.base.model), self.ask.options
         base = base_of(self.base, source.default_shape)
         found: dict[str, Measured] = {}
-        # One call takes versions of one lobe model.
-        for model in dict.fromkeys(each.model for each in level.values()):
-            names = [name for name, each in level.items() if each.model == model]
+        for names in _by_model(level):
+            model = level[names[0]].model
             together = measure(
                 base, self.base.size, [level[name] for name in names], columns, rows,
                 pixel_filter=options.pixel_filter, exponent=DENSITY_EXPONENTS[options.density],
@@ -175,14 +174,18 @@ class SetWork:
     def _pairs(self, pyramids: Pyramids) -> list[dict[str, float]]:
         """Per level and method the SNR in dB of the whole BRDF over random pairs of light and viewer."""
         figures = []
+        options = self.ask.options
         for k in range(_depth(pyramids)):
             columns, rows = self._texels(k)
-            errors, power = pair_errors(
-                self.base, [levels[k] for levels in pyramids.values()], columns, rows, pairs=self.ask.pairs, seed=k,
-                terms=Terms(), pixel_filter=self.ask.options.pixel_filter,
-            )  # fmt: skip
-            found = metrics.snr_of_errors(errors, power)
-            figures.append({name: capped(float(value)) for name, value in zip(pyramids, found, strict=True)})
+            of_level: dict[str, float] = {}
+            for names in _by_model({name: levels[k] for name, levels in pyramids.items()}):
+                errors, power = pair_errors(
+                    self.base, [pyramids[name][k] for name in names], columns, rows, pairs=self.ask.pairs, seed=k,
+                    terms=Terms(), pixel_filter=options.pixel_filter, samples=self.ask.samples,
+                    threads=options.threads,
+                )  # fmt: skip
+                of_level |= dict(zip(names, map(capped, metrics.snr_of_errors(errors, power).tolist()), strict=True))
+            figures.append(of_level)
         return figures
 
     def _lobes(self, pyramids: Pyramids, measured: Sequence[Mapping[str, Measured]], fit: str) -> list[LobeView]:
@@ -235,6 +238,12 @@ class SetWork:
             yield
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def _by_model(level: Mapping[str, Svbrdf]) -> list[list[str]]:
+    """Methods whose versions of a level share a lobe model: one call measures them together."""
+    models = dict.fromkeys(each.model for each in level.values())
+    return [[name for name, each in level.items() if each.model == model] for model in models]
 
 
 def _depth(pyramids: Pyramids) -> int:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,14 +154,13 @@ def _view(
     """The record of a still view; names of pictures are keys for now, paths later."""
     reference = radiance["reference"]
     exposure = metrics.exposure_of(reference)
+    names = [name for name in radiance if name != "reference"]
+    with ThreadPoolExecutor() as pool:  # FLIP, the longest, lets others work meanwhile
+        figures = list(pool.map(lambda name: figures_of(radiance[name], reference, exposure), names))
     return View(
         key=key, group=group, title=title, lighting=lit, distance=distance, level=level, exposure=exposure,
         reference="reference",
-        shots=[
-            Shot(method=name, picture=name, figures=figures_of(picture, reference, exposure))
-            for name, picture in radiance.items()
-            if name != "reference"
-        ],
+        shots=[Shot(method=name, picture=name, figures=each) for name, each in zip(names, figures, strict=True)],
     )  # fmt: skip
 
 
@@ -202,7 +203,7 @@ def _rotation_view(base: Svbrdf, pyramids: Pyramids, kept: Pyramids, studio: Stu
 def _side_by_side(parts: Sequence[Scene]) -> Scene:
     """One scene of several: one call renders all, and the reference shades what they share once."""
     arrays = ("centre", "axes", "view", "frame", "coverage")
-    joined = {name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in arrays}
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in arrays}
     return dataclasses.replace(parts[0], **joined)
 
 

@@ -18,8 +18,8 @@ EPSILON = 1e-6
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 #: Mean luminance of a displayed reference, before the curve; highlights then stay below white.
 KEY = 0.22
-#: Exposures that HDR-FLIP looks at, within the range it finds by itself; one a stop would cost three times as much.
-_EXPOSURES = 4
+#: Exposures that HDR-FLIP looks at, within the range it finds by itself; one a stop would cost many times as much.
+_EXPOSURES = 3
 #: Luminance, in units of the exposed scene, that the curve takes to white.
 WHITE = 6.0
 
@@ -47,16 +47,14 @@ def snr_db(picture: NDArray, reference: NDArray) -> float:
 
 
 def snr_of_errors(errors: NDArray, power: NDArray) -> NDArray:
-    """-10 log10 of the mean over texels of their relative squared errors, in dB: (M, n) and (n,) give (M,).
+    """-10 log10( sum of squared errors / sum of squared reference ) in dB over texels: (M, n) and (n,) give (M,).
 
-    The mean is of quotients, as in the half-angle figure, so that every texel counts alike, dark or bright. Texels that
-    reflect nothing are left out; infinite where no error is left.
+    Both may be estimates whose own noise averages out, so that no error left, or less than none, is infinite. The
+    quotient is of sums: a few pairs of light and viewer meet the peak of one texel's sharp lobe and miss another's, and
+    a mean of quotients would be that of the texels that were missed.
     """
-    lit = np.asarray(power) > 0.0
-    relative = np.asarray(errors, np.float64)[:, lit] / np.asarray(power, np.float64)[lit]
-    mean = relative.mean(axis=1) if lit.any() else np.zeros(len(relative))
-    with np.errstate(divide="ignore"):
-        return -10.0 * np.log10(mean)
+    total = np.asarray(errors, np.float64).sum(axis=1) / max(float(np.sum(power, dtype=np.float64)), 1e-300)
+    return np.where(total > 0.0, -10.0 * np.log10(np.maximum(total, 1e-300)), np.inf)
 
 
 def relative_l2(picture: NDArray, reference: NDArray, epsilon: float = EPSILON) -> float:
@@ -102,7 +100,7 @@ def flip_ldr(displayed: NDArray, displayed_reference: NDArray) -> float:
 
 
 def flip_hdr(picture: NDArray, reference: NDArray) -> float:
-    """Mean HDR-FLIP (Andersson et al. 2021) of linear pictures: each pixel's worst of four exposures, taken from R."""
+    """Mean HDR-FLIP (Andersson et al. 2021) of linear pictures: each pixel's worst of three exposures, taken from R."""
     if not np.any(reference):
         return 0.0 if not np.any(picture) else 1.0
     return _flip(np.maximum(picture, 0.0), np.maximum(reference, 0.0), "HDR")

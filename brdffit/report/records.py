@@ -28,11 +28,11 @@ KEPT_SUFFIX = ", level 0 kept"
 MOST_DB = 99.0
 
 
-class Record(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+class Record(msgspec.Struct, forbid_unknown_fields=True):
     """Base of all records."""
 
 
-class Figures(Record):
+class Figures(Record, kw_only=True):
     """What is said of one picture against its reference; see ``brdffit.render.metrics``."""
 
     snr_db: float
@@ -43,7 +43,7 @@ class Figures(Record):
     energy_kept: float
 
 
-class Shot(Record):
+class Shot(Record, kw_only=True):
     """One picture by one method.
 
     ``change`` is its mean change per frame over that of the reference, where the view moves.
@@ -55,7 +55,7 @@ class Shot(Record):
     change: float | None = None
 
 
-class View(Record):
+class View(Record, kw_only=True):
     """One scene under one lighting, by the reference and by every method.
 
     ``group`` gathers views under one heading ("distance", "scene", "motion", "level 0"); ``distance`` is "near", "mid",
@@ -73,7 +73,7 @@ class View(Record):
     shots: list[Shot]
 
 
-class LevelFigures(Record):
+class LevelFigures(Record, kw_only=True):
     """One MIP level by one method.
 
     ``half_angle_snr_db``: of the lobe alone, against the dense rule. ``pair_snr_db``: of the whole BRDF over random
@@ -87,7 +87,7 @@ class LevelFigures(Record):
     pair_snr_db: float | None = None
 
 
-class MethodResult(Record):
+class MethodResult(Record, kw_only=True):
     """One method on one set. ``maps``: a strip of its levels, roughness above anisotropy, as grey values."""
 
     method: str
@@ -97,14 +97,14 @@ class MethodResult(Record):
     notes: list[str] = []
 
 
-class Skipped(Record):
+class Skipped(Record, kw_only=True):
     """A method that could not bake a set, and its own sentence why."""
 
     method: str
     reason: str
 
 
-class LobeView(Record):
+class LobeView(Record, kw_only=True):
     """The apparent lobe of one texel over projected half vectors, with each method's lobe.
 
     Luminance, relative to the peak of the apparent lobe. ``grids`` are float16 of (side, side), row 0 at the top, over
@@ -128,7 +128,7 @@ class LobeView(Record):
     snr_db: dict[str, float]
 
 
-class SetResult(Record):
+class SetResult(Record, kw_only=True):
     """One texture set. ``distances``: level of near, mid and far. ``overview``: where the texels of the lobes lie."""
 
     name: str
@@ -146,7 +146,7 @@ class SetResult(Record):
     notes: list[str] = []
 
 
-class MethodInfo(Record):
+class MethodInfo(Record, kw_only=True):
     """Name and summary, in the order of the tables; ``fit`` is the one that the others are held against."""
 
     name: str
@@ -154,7 +154,7 @@ class MethodInfo(Record):
     fit: bool = False
 
 
-class Comparison(Record):
+class Comparison(Record, kw_only=True):
     """All of it: what was asked, what it ran on, what was found."""
 
     format: int = FORMAT

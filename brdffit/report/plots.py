@@ -1,0 +1,246 @@
+"""Drawings of records: SVG by matplotlib, pictures as data addresses. Nothing is computed here but coordinates."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.report.records import Comparison, LobeView, SetResult, unpack
+from brdffit.report.summary import DISTANCES, GROUPS, Row, differences, figure_of, fit_name, view_of
+
+#: The fit first, then the others in their order; told apart by hue and by lightness.
+_COLOURS = (
+    "#b3005e",
+    "#6b7280",
+    "#0e8a6d",
+    "#1f6fb5",
+    "#d9730d",
+    "#7c5cbf",
+    "#5b8c15",
+    "#8a5a1a",
+    "#0899ad",
+    "#333333",
+)
+_DISTANCE_COLOURS = {"near": "#f2a65a", "mid": "#c8553d", "far": "#4a1942"}
+_JPEG_QUALITY = 92
+#: Lobes are shown by the square root of their value, so that their feet are seen.
+_LOBE_POWER = 0.5
+
+
+def method_colours(comparison: Comparison) -> dict[str, str]:
+    """Colour of each method, the same on the whole page."""
+    fit = fit_name(comparison)
+    others = [info.name for info in comparison.methods if info.name != fit]
+    return {fit: _COLOURS[0]} | {name: _COLOURS[1 + i % (len(_COLOURS) - 1)] for i, name in enumerate(others)}
+
+
+def level_curves(result: SetResult, colours: Mapping[str, str], fit: str) -> str:
+    """SNR of the lobe and of the whole BRDF over levels, and FLIP over distances: one SVG."""
+    with _figure(3, (10.4, 3.1)) as (figure, axes):
+        for each in result.methods:
+            style = _style(each.method, colours, fit)
+            levels = [level.level for level in each.levels]
+            axes[0].plot(levels, [_number(level.half_angle_snr_db) for level in each.levels], **style)
+            axes[1].plot(levels, [_number(level.pair_snr_db) for level in each.levels], **style)
+            flips = [_mean_flip(result, each.method, distance) for distance in DISTANCES]
+            axes[2].plot(range(len(DISTANCES)), flips, **style)
+        for axis, title in zip(axes, ("lobe, half-angle SNR (dB)", "light and viewer pairs, SNR (dB)",
+                                      "pictures, FLIP (lower is better)"), strict=True):  # fmt: skip
+            axis.set_title(title, loc="left")
+        for axis in axes[:2]:
+            axis.set_xlabel("MIP level")
+            axis.set_xticks(range(result.maps_levels))
+        axes[2].set_xticks(range(len(DISTANCES)), DISTANCES)
+        axes[2].set_ylim(bottom=0.0)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
+        return _svg(figure)
+
+
+def difference_histograms(comparison: Comparison) -> str:
+    """How much better the fit's pictures are than those of each other method, by distance (Kemppinen 2023, fig. 5)."""
+    fit = fit_name(comparison)
+    others = [info.name for info in comparison.methods if info.name != fit]
+    found = {name: differences(comparison, name) for name in others}
+    found = {name: each for name, each in found.items() if any(each.values())}
+    if not found:
+        return ""
+    every = [value for each in found.values() for values in each.values() for value in values]
+    step = max(1.0, round((max(every) - min(every)) / 24.0))
+    low, high = step * np.floor(min(*every, 0.0) / step), step * np.ceil((max(*every, 0.0) + 1e-9) / step)
+    bins = np.arange(low, high + 1.5 * step, step)
+    columns = min(4, len(found))
+    rows = -(-len(found) // columns)
+    with _figure((rows, columns), (10.4, 1.9 * rows + 0.3), sharex=True, sharey=True) as (figure, axes):
+        for axis, (name, each) in zip(axes, found.items(), strict=False):
+            values = [each[distance] for distance in DISTANCES]
+            axis.hist(values, bins=bins, stacked=True, color=[_DISTANCE_COLOURS[d] for d in DISTANCES],
+                      label=list(DISTANCES))  # fmt: skip
+            axis.axvline(0.0, color="#111827", linewidth=1.0)
+            axis.set_title(f"{fit} less {name}", loc="left")
+            axis.yaxis.get_major_locator().set_params(integer=True)
+        for axis in axes[len(found) :]:
+            axis.set_visible(False)
+        figure.supxlabel("difference of SNR (dB); right of the line the fit is closer to the truth", fontsize=9)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
+        return _svg(figure)
+
+
+def time_and_gain(rows: Sequence[Row], colours: Mapping[str, str], fit: str) -> str:
+    """Seconds of a bake against half-angle SNR gained over averaged maps."""
+    known = [row for row in rows if row.seconds and row.gain is not None]
+    if not known:
+        return ""
+    with _figure(1, (6.2, 3.2)) as (figure, axes):
+        axis = axes[0]
+        for row in known:
+            style = _style(row.method, colours, fit)
+            axis.plot([row.seconds], [row.gain], marker="o", markersize=8, color=style["color"])
+        _label_apart(axis, [(row.method, row.seconds or 0.0, row.gain or 0.0) for row in known])
+        axis.set_xscale("log")
+        axis.set_xlabel("seconds a set (logarithmic)")
+        axis.set_title("half-angle SNR gained over averaged maps (dB), mean of near, mid, far", loc="left")
+        axis.margins(x=0.2, y=0.15)
+        return _svg(figure)
+
+
+def landscape_figure(landscape: Any, title: str) -> Any:
+    """Figure of an error landscape, see ``brdffit.landscape.Landscape``: Baker's picture, with the optimiser's path."""
+    import matplotlib
+    from matplotlib.figure import Figure as MatplotlibFigure
+
+    with matplotlib.rc_context(_STYLE):
+        figure = MatplotlibFigure(figsize=(7.4, 5.2), layout="constrained")
+        axis = figure.add_subplot()
+        shown = np.log1p(landscape.error)
+        image = axis.pcolormesh(landscape.roughness, landscape.angle, shown, cmap="viridis", shading="gouraud")
+        axis.contour(landscape.roughness, landscape.angle, shown, levels=14, colors="white", linewidths=0.5, alpha=0.6)
+        path = landscape.path
+        axis.plot(path[:, 0], path[:, 1], color="#ffffff", linewidth=2.6)
+        axis.plot(path[:, 0], path[:, 1], color="#b3005e", linewidth=1.4, marker="o", markersize=3.5,
+                  label=f"path of the search, {len(path) - 1} steps")  # fmt: skip
+        axis.plot(*path[0], marker="s", markersize=8, color="#b3005e", markeredgecolor="white", linestyle="none",
+                  label="start")  # fmt: skip
+        axis.plot(*path[-1], marker="*", markersize=15, color="#b3005e", markeredgecolor="white", linestyle="none",
+                  label="end")  # fmt: skip
+        axis.set_xscale("log")
+        axis.set_xlabel("alpha (roughness of the lobe; to the left: higher power)")
+        axis.set_ylabel("angle of the normal from the start (degrees)")
+        axis.set_title(title, loc="left")
+        axis.legend(loc="best", fontsize=8)
+        figure.colorbar(image, label="log(1 + relative squared error)")
+        return figure
+
+
+def data_address(picture: NDArray, lossless: bool = False) -> str:
+    """A picture (h, w) or (h, w, 3) uint8 as a data address: JPEG without chroma subsampling, or PNG."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    if lossless:
+        Image.fromarray(picture).save(buffer, "PNG", optimize=True)
+    else:
+        Image.fromarray(picture).save(buffer, "JPEG", quality=_JPEG_QUALITY, subsampling=0, optimize=True)
+    kind = "png" if lossless else "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def coloured(grey: NDArray, colour_map: str) -> NDArray:
+    """(h, w, 3) uint8 of a picture (h, w) uint8 through one of matplotlib's colour maps."""
+    import matplotlib
+
+    table = matplotlib.colormaps[colour_map](np.arange(256), bytes=True)
+    return table[grey][..., :3]
+
+
+def map_picture(strip: NDArray) -> NDArray:
+    """A strip of maps in colour: roughness above, anisotropy below."""
+    half = strip.shape[0] // 2
+    return np.concatenate([coloured(strip[:half], "gray"), coloured(strip[half:], "cividis")])
+
+
+def lobe_pictures(view: LobeView) -> dict[str, str]:
+    """Heat maps of a texel's lobes, all on the scale of the apparent lobe's peak, as data addresses."""
+    pictures = {}
+    for name, data in view.grids.items():
+        values = np.clip(unpack(data, (view.side, view.side)), 0.0, 1.0) ** _LOBE_POWER
+        pictures[name] = data_address(coloured(np.round(255.0 * values).astype(np.uint8), "magma"), lossless=True)
+    return pictures
+
+
+def lobe_cuts(view: LobeView) -> dict[str, list[list[float]]]:
+    """Cuts of a texel's lobes, along and across, rounded for the page."""
+    return {
+        name: [[round(float(value), 3) for value in line] for line in unpack(data, (2, view.side))]
+        for name, data in view.cuts.items()
+    }
+
+
+#: What all drawings share. Text stays text: small files, and it can be searched and read aloud.
+_STYLE: Any = {
+    "svg.fonttype": "none", "svg.hashsalt": "brdffit", "font.family": "sans-serif", "font.size": 9,
+    "font.sans-serif": ["Helvetica", "Arial", "DejaVu Sans", "sans-serif"], "axes.titlesize": 9,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.color": "#e5e7eb",
+    "axes.axisbelow": True, "axes.edgecolor": "#6b7280", "legend.fontsize": 9,
+}  # fmt: skip
+
+
+@contextmanager
+def _figure(axes: int | tuple[int, int], size: tuple[float, float], **settings: Any) -> Iterator[tuple[Any, NDArray]]:
+    """A figure without a screen, and its axes as a flat array."""
+    import matplotlib
+    from matplotlib.figure import Figure as MatplotlibFigure
+
+    rows, columns = axes if isinstance(axes, tuple) else (1, axes)
+    with matplotlib.rc_context(_STYLE):
+        figure = MatplotlibFigure(figsize=size, layout="constrained")
+        yield figure, figure.subplots(rows, columns, squeeze=False, **settings).ravel()
+
+
+def _svg(figure: Any) -> str:
+    """The figure as an inline element: scaled by the page, without a date and without the head of a file."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    element = buffer.getvalue()
+    element = element[element.index("<svg") :]
+    width = 96.0 * figure.get_size_inches()[0]
+    head = re.sub(r' (width|height)="[^"]*"', "", element[: element.index(">")])
+    return f'{head} style="max-width: {width:.0f}px"{element[element.index(">") :]}'
+
+
+def _style(method: str, colours: Mapping[str, str], fit: str) -> dict[str, Any]:
+    ours = method == fit
+    return {
+        "label": method, "color": colours.get(method, "#333333"), "linewidth": 2.4 if ours else 1.2,
+        "zorder": 5 if ours else 2, "marker": "o", "markersize": 4 if ours else 2.5,
+    }  # fmt: skip
+
+
+def _label_apart(axis: Any, points: Sequence[tuple[str, float, float]]) -> None:
+    """Names beside points, moved up where they would meet."""
+    last = -np.inf
+    span = max(1e-9, max(p[2] for p in points) - min(p[2] for p in points))
+    for name, x, y in sorted(points, key=lambda point: point[2]):
+        at = max(y, last + 0.07 * span)
+        last = at
+        axis.annotate(name, (x, y), xytext=(x * 1.15, at), fontsize=9, va="center")
+
+
+def _mean_flip(result: SetResult, method: str, distance: str) -> float:
+    found = []
+    for _, lit in GROUPS[1:]:
+        view = view_of(result, lit or "", distance)
+        value = None if view is None else figure_of(view, method, lambda figures: figures.flip_ldr)
+        if value is not None:
+            found.append(value)
+    return sum(found) / len(found) if found else float("nan")
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value

@@ -1,0 +1,63 @@
+"""A comparison on the disk: records, pictures and page, all of them or nothing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError
+from brdffit.report.page import render_page
+from brdffit.report.records import PAGE, RECORDS, Comparison, foreign_file, picture_names, read_records, to_json
+from brdffit.textures.atomic import check_writable, replacing
+from brdffit.textures.image_io import read_image, write_png
+
+
+def check_report_folder(folder: str | os.PathLike[str]) -> None:
+    """See that a report can be written there, before hours of work.
+
+    Raises:
+        OutputError: when it cannot, or when the folder holds what no comparison wrote.
+    """
+    check_writable(Path(folder), foreign_file)
+
+
+def write_report(comparison: Comparison, pictures: Mapping[str, NDArray], folder: str | os.PathLike[str]) -> Path:
+    """Write records, pictures and page; what was there before stays until all is done. Returns the page's path.
+
+    Raises:
+        OutputError: when it cannot be written.
+    """
+    names = picture_names(comparison)
+    comparison = msgspec.structs.replace(comparison, files=sorted([PAGE, *names]))
+    with replacing(Path(folder), foreign_file) as fresh:
+        for name in names:
+            path = fresh / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_png(path, pictures[name])
+        # Records before the page: whatever goes wrong with the drawing, they hold all that it is made of.
+        (fresh / RECORDS).write_bytes(to_json(comparison))
+        (fresh / PAGE).write_text(render_page(comparison, pictures), encoding="utf-8")
+    return Path(folder) / PAGE
+
+
+def read_report(records: str | os.PathLike[str]) -> tuple[Comparison, dict[str, NDArray]]:
+    """Records and their pictures from the disk; ``records`` is the JSON file or its folder.
+
+    Raises:
+        InputError: when a file is missing, or is none of ours.
+    """
+    path = Path(records)
+    path = path / RECORDS if path.is_dir() else path
+    comparison = read_records(path)
+    pictures = {}
+    for name in picture_names(comparison):
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise InputError(f"'{path}' names the picture '{name}', expected one beside it.")
+        pixels = np.round(255.0 * read_image(path.parent / name).pixels).astype(np.uint8)
+        pictures[name] = pixels[..., 0] if pixels.shape[2] == 1 else pixels[..., :3]
+    return comparison, pictures
