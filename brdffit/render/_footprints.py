@@ -18,7 +18,7 @@ from brdffit.methods import one_of
 Progress = Callable[[int, int], None]
 
 #: Samples of a footprint: (at least, for each base texel of its area, at most).
-SAMPLES = {"draft": (64, 16, 1024), "standard": (256, 64, 8192), "fine": (1024, 256, 65536)}
+SAMPLES = {"draft": (64, 16, 1024), "standard": (256, 16, 4096), "fine": (1024, 256, 65536)}
 
 # A piece of work takes a fraction of a second, so that the bar moves and an interrupt is heard.
 _LEAST_PIECES = 64
@@ -63,13 +63,13 @@ def _area(place: NDArray) -> NDArray:
     return np.abs(place[:, 2] * 1.0 * place[:, 5] - place[:, 3] * 1.0 * place[:, 4])
 
 
-def sample_count(place: NDArray, samples: int | str | None) -> NDArray:
+def sample_count(place: NDArray, samples: int | str | None, least: int = 1) -> NDArray:
     """Strata (across, down) (G, 2) of one half of each footprint's samples."""
     if isinstance(samples, int):
-        wanted = np.full(len(place), float(samples))
+        wanted = np.full(len(place), float(max(samples, least)))
     else:
-        least, per_texel, most = SAMPLES[one_of("number of samples", samples or "standard", tuple(SAMPLES))]
-        wanted = np.clip(_area(place) * per_texel, least, most)
+        low, per_texel, most = SAMPLES[one_of("number of samples", samples or "standard", tuple(SAMPLES))]
+        wanted = np.clip(_area(place) * per_texel, max(low, least), most)
     # As many an axis as the footprint is long, rounded to powers of the square root of 2: few different rules.
     axes = place[:, 2:].reshape(-1, 2, 2)
     length = np.maximum(np.linalg.norm(axes, axis=1), 1e-9)
@@ -79,9 +79,9 @@ def sample_count(place: NDArray, samples: int | str | None) -> NDArray:
     return np.maximum(np.round(2.0 ** (np.round(exact * 2.0) / 2.0)), 1).astype(np.int64)
 
 
-def equal_samples(place: NDArray, samples: int | str | None) -> list[tuple[slice, tuple[int, int]]]:
+def equal_samples(place: NDArray, samples: int | str | None, least: int = 1) -> list[tuple[slice, tuple[int, int]]]:
     """Runs of footprints that take the same number of samples."""
-    count = sample_count(place, samples)
+    count = sample_count(place, samples, least)
     edges = np.flatnonzero((count[1:] != count[:-1]).any(axis=1)) + 1
     bounds = [0, *edges.tolist(), len(place)]
     return [(slice(a, b), (int(count[a, 0]), int(count[a, 1]))) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]

@@ -24,9 +24,12 @@ DIFFUSE = True
 COSINE = True
 
 # Rows of a block of samples: normal; inverse tensor; tensor; K(shape) / (pi sqrt det), shape; filter weight, the same
-# times the fading of Fresnel's rim, that fading; weight times specular, weight times diffuse under the specular.
-NORMAL, INVERSE, TENSOR, AMPLITUDE, SHAPE, RIM_WEIGHT, RIM, SPECULAR, MATT = 0, 3, 6, 9, 10, 11, 12, 13, 16
-BLOCK_ROWS = 19
+# times the fading of Fresnel's rim, that fading; weight times specular, weight times diffuse under the specular;
+# 1 / (pi sqrt det).
+NORMAL, INVERSE, TENSOR, AMPLITUDE, SHAPE, RIM_WEIGHT, RIM, SPECULAR, MATT, DENSITY = (
+    0, 3, 6, 9, 10, 11, 12, 13, 16, 19,
+)  # fmt: skip
+BLOCK_ROWS = 20
 BLOCK = 512
 
 # Channels of a packed texel; a cache line holds it.
@@ -39,26 +42,66 @@ PERCEPTUAL, LOG_TENSOR, PLAIN_TENSOR = 0, 1, 2
 _LEAST_COSINE = 1e-4
 _LEAST_REFLECTANCE = 0.02
 
-#: What shades: (block, first, last, view, light, sums); view and light are unit vectors (3,), sums (3,) is added to.
+#: What shades: (block, count, view, light, sums); view and light are unit vectors (3,), sums (3,) is added to.
 shade_type = types.FunctionType(
-    types.void(
-        types.float32[:, ::1], types.int64, types.int64, types.float64[::1], types.float64[::1], types.float64[::1]
-    )
+    types.void(types.float32[:, ::1], types.int64, types.float64[::1], types.float64[::1], types.float64[::1])
 )
 log_normalisation_type = types.FunctionType(types.UniTuple(types.float64, 2)(types.float64))
 
 
 @inline
-def _fifth(cosine):
+def fifth_power(cosine):
     """Schlick's weight (1 - cosine)^5."""
     m = min(max(real(1.0) - cosine, real(0.0)), real(1.0))
     m2 = m * m
     return m2 * m2 * m
 
 
+@inline
+def reflect(x, y, z, i_xx, i_yy, i_xy, t_xx, t_yy, t_xy, amplitude, shape, h_x, h_y, h_z, l_x, l_y, l_z, v_x, v_y, v_z):
+    """(lobe, cosine): what a lobe reflects but for colour and Fresnel, and n.l; of a normal, its tensor and directions.
+
+    Both are 0 where light or viewer is below the texel's horizon, with the terms that know of a horizon.
+    """
+    per = real(1.0) / max(real(1.0) + z, real(1e-6))
+    n_l = l_x * x + l_y * y + l_z * z
+    n_v = v_x * x + v_y * y + v_z * z
+    cosine = real(1.0)
+    if COSINE:
+        cosine = n_l
+    if MASKING or COSINE:
+        cosine = cosine if min(n_l, n_v) > real(0.0) else real(0.0)
+    lobe = real(0.0)
+    if LOBE:
+        # Vectors in the frame of the normal, see shading.into_frame.
+        along = h_x * x + h_y * y
+        k = along * per + h_z
+        a, b, c = h_x - k * x, h_y - k * y, along + h_z * z
+        q = max(a * (i_xx * a + real(2.0) * i_xy * b) + i_yy * b * b, real(0.0))
+        lobe = amplitude * cosine * profile(q, min(c * c, real(1.0)), shape)
+        if not (MASKING or COSINE):
+            # Lobes end at their own horizon.
+            lobe = lobe if c > real(0.0) else real(0.0)
+        if MASKING:
+            k = (v_x * x + v_y * y) * per + v_z
+            a, b = v_x - k * x, v_y - k * y
+            of_view = a * (t_xx * a + real(2.0) * t_xy * b) + t_yy * b * b
+            k = (l_x * x + l_y * y) * per + l_z
+            a, b = l_x - k * x, l_y - k * y
+            of_light = a * (t_xx * a + real(2.0) * t_xy * b) + t_yy * b * b
+            u_l, u_v = max(n_l, real(_LEAST_COSINE)), max(n_v, real(_LEAST_COSINE))
+            lobe *= real(0.5) / (
+                u_l * np.sqrt(u_v * u_v + max(of_view, real(0.0))) + u_v * np.sqrt(u_l * u_l + max(of_light, real(0.0)))
+            )
+    return lobe, cosine
+
+
 @kernel
-def shade_block(block, first, last, view, light, sums):
-    """Add to ``sums`` (3,) what samples first ... last - 1 of a block send to ``view`` from a light of irradiance 1."""
+def shade_block(block, count, view, light, sums):
+    """Add to ``sums`` (3,) what the first ``count`` samples of a block send to ``view`` from a light of irradiance 1.
+
+    Lobe x masking x Fresnel x cosine + diffuse x Fresnel's rest x cosine, see ``shading.brdf``.
+    """
     v_x, v_y, v_z = real(view[0]), real(view[1]), real(view[2])
     l_x, l_y, l_z = real(light[0]), real(light[1]), real(light[2])
     m_x, m_y, m_z = light[0] + view[0], light[1] + view[1], light[2] + view[2]
@@ -67,7 +110,7 @@ def shade_block(block, first, last, view, light, sums):
         return
     h_x, h_y, h_z = real(m_x / length), real(m_y / length), real(m_z / length)
     # v.h is |l + v| / 2.
-    grazing = _fifth(real(0.5 * length))
+    grazing = fifth_power(real(0.5 * length))
     n_x, n_y, n_z = block[NORMAL], block[NORMAL + 1], block[NORMAL + 2]
     i_xx, i_yy, i_xy = block[INVERSE], block[INVERSE + 1], block[INVERSE + 2]
     t_xx, t_yy, t_xy = block[TENSOR], block[TENSOR + 1], block[TENSOR + 2]
@@ -76,38 +119,13 @@ def shade_block(block, first, last, view, light, sums):
     d_r, d_g, d_b = block[MATT], block[MATT + 1], block[MATT + 2]
     red, green, blue, peak = real(0.0), real(0.0), real(0.0), real(0.0)
     matt_red, matt_green, matt_blue = real(0.0), real(0.0), real(0.0)
-    for i in range(first, last):
-        x, y, z = n_x[i], n_y[i], n_z[i]
-        per = real(1.0) / max(real(1.0) + z, real(1e-6))
-        n_l = l_x * x + l_y * y + l_z * z
-        n_v = v_x * x + v_y * y + v_z * z
-        cosine = real(1.0)
-        if COSINE:
-            cosine = n_l
-        if MASKING or COSINE:
-            cosine = cosine if min(n_l, n_v) > real(0.0) else real(0.0)
+    # From 0 on: an index that might be negative would keep the loop from being vectorised.
+    for i in range(count):
+        lobe, cosine = reflect(
+            n_x[i], n_y[i], n_z[i], i_xx[i], i_yy[i], i_xy[i], t_xx[i], t_yy[i], t_xy[i], amplitude[i], shape[i],
+            h_x, h_y, h_z, l_x, l_y, l_z, v_x, v_y, v_z,
+        )  # fmt: skip
         if LOBE:
-            # Vectors in the frame of the normal, see shading.into_frame.
-            along = h_x * x + h_y * y
-            k = along * per + h_z
-            a, b, c = h_x - k * x, h_y - k * y, along + h_z * z
-            q = max(a * (i_xx[i] * a + real(2.0) * i_xy[i] * b) + i_yy[i] * b * b, real(0.0))
-            lobe = amplitude[i] * cosine * profile(q, min(c * c, real(1.0)), shape[i])
-            if not (MASKING or COSINE):
-                # Lobes end at their own horizon.
-                lobe = lobe if c > real(0.0) else real(0.0)
-            if MASKING:
-                k = (v_x * x + v_y * y) * per + v_z
-                a, b = v_x - k * x, v_y - k * y
-                of_view = a * (t_xx[i] * a + real(2.0) * t_xy[i] * b) + t_yy[i] * b * b
-                k = (l_x * x + l_y * y) * per + l_z
-                a, b = l_x - k * x, l_y - k * y
-                of_light = a * (t_xx[i] * a + real(2.0) * t_xy[i] * b) + t_yy[i] * b * b
-                u_l, u_v = max(n_l, real(_LEAST_COSINE)), max(n_v, real(_LEAST_COSINE))
-                lobe *= real(0.5) / (
-                    u_l * np.sqrt(u_v * u_v + max(of_view, real(0.0)))
-                    + u_v * np.sqrt(u_l * u_l + max(of_light, real(0.0)))
-                )
             if FRESNEL:
                 peak += lobe * rim_weight[i]
                 lobe -= lobe * grazing * rim[i]
@@ -117,7 +135,9 @@ def shade_block(block, first, last, view, light, sums):
         if DIFFUSE:
             matt = cosine
             if FRESNEL:
-                matt *= (real(1.0) - _fifth(n_l) * rim[i]) * (real(1.0) - _fifth(n_v) * rim[i])
+                n_l = l_x * n_x[i] + l_y * n_y[i] + l_z * n_z[i]
+                n_v = v_x * n_x[i] + v_y * n_y[i] + v_z * n_z[i]
+                matt *= (real(1.0) - fifth_power(n_l) * rim[i]) * (real(1.0) - fifth_power(n_v) * rim[i])
             matt_red += matt * d_r[i]
             matt_green += matt * d_g[i]
             matt_blue += matt * d_b[i]
@@ -150,8 +170,8 @@ def wrapped(i, size, tile):
 
 
 @inline
-def look_up(packed, level, column, row, tile, scale, texel):
-    """Add to ``texel`` (PACKED,) ``scale`` times the bilinear value at a position in texels (texel i at i + 1/2).
+def look_up(packed, level, column, row, tile, scale, out, i):
+    """Add to ``out[i]`` (PACKED,) ``scale`` times the bilinear value at a position in texels (texel k at k + 1/2).
 
     ``packed`` (N, PACKED) holds images row by row; ``level`` (3,) says where one begins, its height and its width.
     """
@@ -164,68 +184,80 @@ def look_up(packed, level, column, row, tile, scale, texel):
     w00, w10 = real(scale * (1.0 - fx) * (1.0 - fy)), real(scale * fx * (1.0 - fy))
     w01, w11 = real(scale * (1.0 - fx) * fy), real(scale * fx * fy)
     upper, lower = begin + j0 * width, begin + j1 * width
-    a, b, c, d = packed[upper + i0], packed[upper + i1], packed[lower + i0], packed[lower + i1]
+    a, b, c, d = upper + i0, upper + i1, lower + i0, lower + i1
+    # Indexed, not sliced: a slice counts references, and threads would queue for the counter.
     for k in range(PACKED):
-        texel[k] += w00 * a[k] + w10 * b[k] + w01 * c[k] + w11 * d[k]
+        out[i, k] += w00 * packed[a, k] + w10 * packed[b, k] + w01 * packed[c, k] + w11 * packed[d, k]
 
 
 @kernel
-def place_sample(texel, roughness_kind, weight, normalisation, block, i):
-    """Write an interpolated texel into column ``i`` of a block: the normal to unit length, the tensor with its inverse.
+def place_samples(texels, count, roughness_kind, weight, normalisation, block):
+    """Write interpolated texels (count, PACKED) into the columns of a block: unit normals, tensors with their inverses.
 
-    A tensor is inverted in double precision, its eigenvalues where the logarithm is stored.
+    ``weight`` and ``normalisation`` (count,) are of the filter and of the lobe. Tensors are inverted in double
+    precision, by their eigenvalues where the logarithm is stored.
     """
-    x, y, z = float(texel[0]), float(texel[1]), float(texel[2])
-    length = math.sqrt(x * x + y * y + z * z)
-    if length > 1e-6:
-        x, y, z = x / length, y / length, z / length
-    else:
-        x, y, z = 0.0, 0.0, 1.0
-    block[NORMAL, i], block[NORMAL + 1, i], block[NORMAL + 2, i] = x, y, z
-    a, b, c = float(texel[P_ROUGHNESS]), float(texel[P_ROUGHNESS + 1]), float(texel[P_ROUGHNESS + 2])
+    for i in range(count):
+        x, y, z = texels[i, 0], texels[i, 1], texels[i, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        some = length > real(1e-6)
+        per = real(1.0) / (length if some else real(1.0))
+        block[NORMAL, i] = x * per if some else real(0.0)
+        block[NORMAL + 1, i] = y * per if some else real(0.0)
+        block[NORMAL + 2, i] = z * per if some else real(1.0)
+        block[SHAPE, i] = texels[i, P_SHAPE]
+        r, g, b, w = texels[i, P_SPECULAR], texels[i, P_SPECULAR + 1], texels[i, P_SPECULAR + 2], real(weight[i])
+        rim = min(max(r, max(g, b)) * real(1.0 / _LEAST_REFLECTANCE), real(1.0))
+        block[RIM, i] = rim
+        block[RIM_WEIGHT, i] = w * rim
+        block[SPECULAR, i], block[SPECULAR + 1, i], block[SPECULAR + 2, i] = w * r, w * g, w * b
+        block[MATT, i] = w * texels[i, P_DIFFUSE] * max(real(1.0) - r, real(0.0))
+        block[MATT + 1, i] = w * texels[i, P_DIFFUSE + 1] * max(real(1.0) - g, real(0.0))
+        block[MATT + 2, i] = w * texels[i, P_DIFFUSE + 2] * max(real(1.0) - b, real(0.0))
     if roughness_kind == PERCEPTUAL:
-        square = (a * a) * (a * a)
-        root = square
-        xx, yy, xy = square, square, 0.0
-        ixx, iyy, ixy = 1.0 / square, 1.0 / square, 0.0
-    elif roughness_kind == LOG_TENSOR:
-        l1, l2, cos, sin = eigen_log(a, b, c)
-        e1, e2 = math.exp(l1), math.exp(l2)
-        root = math.sqrt(e1 * e2)
-        xx, yy, xy = cos * cos * e1 + sin * sin * e2, sin * sin * e1 + cos * cos * e2, cos * sin * (e1 - e2)
-        e1, e2 = 1.0 / e1, 1.0 / e2
-        ixx, iyy, ixy = cos * cos * e1 + sin * sin * e2, sin * sin * e1 + cos * cos * e2, cos * sin * (e1 - e2)
-    else:
-        # Rounding of the stored entries can make a very eccentric tensor indefinite.
-        determinant = max(a * b - c * c, 1e-12 * a * b, 1e-30)
-        root = math.sqrt(determinant)
-        xx, yy, xy = a, b, c
-        ixx, iyy, ixy = b / determinant, a / determinant, -c / determinant
-    block[INVERSE, i], block[INVERSE + 1, i], block[INVERSE + 2, i] = ixx, iyy, ixy
-    block[TENSOR, i], block[TENSOR + 1, i], block[TENSOR + 2, i] = xx, yy, xy
-    block[AMPLITUDE, i] = normalisation / (math.pi * root)
-    block[SHAPE, i] = texel[P_SHAPE]
-    strongest = 0.0
-    for k in range(3):
-        s = float(texel[P_SPECULAR + k])
-        strongest = max(strongest, s)
-        block[SPECULAR + k, i] = weight * s
-        block[MATT + k, i] = weight * texel[P_DIFFUSE + k] * max(1.0 - s, 0.0)
-    rim = min(strongest / _LEAST_REFLECTANCE, 1.0)
-    block[RIM, i] = rim
-    block[RIM_WEIGHT, i] = weight * rim
+        for i in range(count):
+            alpha = texels[i, P_ROUGHNESS] * texels[i, P_ROUGHNESS]
+            square = alpha * alpha
+            inverse = real(1.0) / square
+            block[INVERSE, i], block[INVERSE + 1, i], block[INVERSE + 2, i] = inverse, inverse, real(0.0)
+            block[TENSOR, i], block[TENSOR + 1, i], block[TENSOR + 2, i] = square, square, real(0.0)
+            block[DENSITY, i] = real(1.0 / math.pi) * inverse
+            block[AMPLITUDE, i] = real(normalisation[i] / math.pi) * inverse
+        return
+    for i in range(count):
+        a, b, c = float(texels[i, P_ROUGHNESS]), float(texels[i, P_ROUGHNESS + 1]), float(texels[i, P_ROUGHNESS + 2])
+        if roughness_kind == LOG_TENSOR:
+            l1, l2, cos, sin = eigen_log(a, b, c)
+            e1, e2 = math.exp(l1), math.exp(l2)
+            root = math.sqrt(e1 * e2)
+            xx, yy, xy = cos * cos * e1 + sin * sin * e2, sin * sin * e1 + cos * cos * e2, cos * sin * (e1 - e2)
+            e1, e2 = 1.0 / e1, 1.0 / e2
+            ixx, iyy, ixy = cos * cos * e1 + sin * sin * e2, sin * sin * e1 + cos * cos * e2, cos * sin * (e1 - e2)
+        else:
+            # Rounding of the stored entries can make a very eccentric tensor indefinite.
+            determinant = max(a * b - c * c, max(1e-12 * a * b, 1e-30))
+            root = math.sqrt(determinant)
+            xx, yy, xy = a, b, c
+            ixx, iyy, ixy = b / determinant, a / determinant, -c / determinant
+        block[INVERSE, i], block[INVERSE + 1, i], block[INVERSE + 2, i] = ixx, iyy, ixy
+        block[TENSOR, i], block[TENSOR + 1, i], block[TENSOR + 2, i] = xx, yy, xy
+        block[DENSITY, i] = 1.0 / (math.pi * root)
+        block[AMPLITUDE, i] = normalisation[i] / (math.pi * root)
 
 
 @kernel
-def fill_block(packed, level, roughness_kind, has_shape, tile, place, axes, strata_x, strata_y, weight_x, weight_y, first,
-               last, half, key, log_normalisation, texel, block):  # fmt: skip
+def fill_block(packed, level, roughness_kind, has_shape, tile, footprint, strata_x, strata_y, weight_x, weight_y,
+               first, last, half, key, log_normalisation, scratch, block):  # fmt: skip
     """Fill columns 0 ... last - first - 1 of a block with one sample for each stratum first ... last - 1.
 
-    ``strata_x`` and ``strata_y`` are lower ends of the strata in pixels from the centre, one more than there are
-    strata. The sample is jittered in its stratum by a hash of ``key``, the stratum and ``half``.
+    ``footprint`` (6,): centre, axes row by row. ``strata_x`` and ``strata_y`` are lower ends of the strata in pixels
+    from the centre, one more than there are strata. The sample is jittered in its stratum by a hash of ``key``, the
+    stratum and ``half``.
     """
     across = strata_x.size - 1
-    normalisation = math.exp(log_normalisation(float(packed[0, P_SHAPE]))[0])
+    texels, weight, normalisation = scratch
+    texels[:] = real(0.0)
+    usual = math.exp(log_normalisation(float(packed[0, P_SHAPE]))[0])
     for number in range(first, last):
         row = number // across
         column = number - row * across
@@ -233,36 +265,41 @@ def fill_block(packed, level, roughness_kind, has_shape, tile, place, axes, stra
         low, high = (bits & np.uint32(0xFFFF)) + 0.5, (bits >> np.uint32(16)) + 0.5
         x = strata_x[column] + (strata_x[column + 1] - strata_x[column]) * (low / 65536.0)
         y = strata_y[row] + (strata_y[row + 1] - strata_y[row]) * (high / 65536.0)
-        texel[:] = 0.0
-        u, v = place[0] + axes[0, 0] * x + axes[0, 1] * y, place[1] + axes[1, 0] * x + axes[1, 1] * y
-        look_up(packed, level, u, v, tile, 1.0, texel)
+        u = footprint[0] + footprint[2] * x + footprint[3] * y
+        v = footprint[1] + footprint[4] * x + footprint[5] * y
+        i = number - first
+        look_up(packed, level, u, v, tile, 1.0, texels, i)
+        weight[i] = weight_x[column] * weight_y[row]
+        normalisation[i] = usual
         if has_shape:
-            normalisation = math.exp(log_normalisation(float(texel[P_SHAPE]))[0])
-        weight = weight_x[column] * weight_y[row]
-        place_sample(texel, roughness_kind, weight, normalisation, block, number - first)
+            normalisation[i] = math.exp(log_normalisation(float(texels[i, P_SHAPE]))[0])
+    place_samples(texels, last - first, roughness_kind, weight, normalisation, block)
+
+
+@inline
+def make_scratch(columns):
+    """Texels, weights and normalisations of this many samples."""
+    return np.empty((columns, PACKED), np.float32), np.empty(columns), np.empty(columns)
 
 
 @kernel
 def reference_rows(packed, level, roughness_kind, has_shape, tile, footprints, starts, keys, view, frame, light,
-                   irradiance, strata_x, strata_y, weight_x, weight_y, half, out, log_normalisation, shade):  # fmt: skip
+                   irradiance, strata_x, strata_y, weight_x, weight_y, half, out, log_normalisation,
+                   shade):  # fmt: skip
     """Radiance of the pixels of some footprints: those of footprint g are starts[g] ... starts[g + 1] - 1.
 
     ``footprints`` (G, 6): centre, axes row by row. ``view`` (P, 3), ``frame`` (P, 3, 3), ``out`` (P, 3) float64.
     """
     block = np.empty((BLOCK_ROWS, BLOCK), np.float32)
-    texel = np.empty(PACKED, np.float32)
+    scratch = make_scratch(BLOCK)
     v, towards, sums = np.empty(3), np.empty(3), np.empty(3)
-    axes = np.empty((2, 2))
     samples = (strata_x.size - 1) * (strata_y.size - 1)
     for g in range(starts.size - 1):
-        axes[0, 0], axes[0, 1], axes[1, 0], axes[1, 1] = (
-            footprints[g, 2], footprints[g, 3], footprints[g, 4], footprints[g, 5],
-        )  # fmt: skip
         for first in range(0, samples, BLOCK):
             last = min(first + BLOCK, samples)
             fill_block(
-                packed, level, roughness_kind, has_shape, tile, footprints[g], axes, strata_x, strata_y, weight_x,
-                weight_y, first, last, half, keys[g], log_normalisation, texel, block,
+                packed, level, roughness_kind, has_shape, tile, footprints[g], strata_x, strata_y, weight_x,
+                weight_y, first, last, half, keys[g], log_normalisation, scratch, block,
             )  # fmt: skip
             for p in range(starts[g], starts[g + 1]):
                 for k in range(3):
@@ -279,13 +316,13 @@ def light_pixel(block, count, v, frame, light, irradiance, towards, sums, out, s
         if towards[2] <= 0.0:
             continue
         sums[:] = 0.0
-        shade(block, 0, count, v, towards, sums)
+        shade(block, count, v, towards, sums)
         for k in range(3):
             out[k] += irradiance[n, k] * sums[k]
 
 
 @kernel
-def sample_pyramid(packed, levels, tile, centre, base_size, detail, log_normalisation, texel, block):
+def sample_pyramid(packed, levels, tile, centre, base_size, detail, log_normalisation, scratch, block):
     """Write the trilinear value of a pyramid at ``centre`` (2,) in base texels into column 0 of a block.
 
     ``levels`` (L, 3): of each level, see ``look_up``; ``base_size``: (width, height); ``detail``: continuous level.
@@ -294,26 +331,26 @@ def sample_pyramid(packed, levels, tile, centre, base_size, detail, log_normalis
     clamped = min(max(detail, 0.0), float(top))
     fine = int(clamped)
     part = clamped - fine
-    texel[:] = 0.0
+    texels, weight, normalisation = scratch
+    texels[:] = real(0.0)
     for k in range(2):
         scale = 1.0 - part if k == 0 else part
         if scale > 0.0:
             level = levels[fine + k]
             column, row = centre[0] * level[2] / base_size[0], centre[1] * level[1] / base_size[1]
-            look_up(packed, level, column, row, tile, scale, texel)
-    normalisation = math.exp(log_normalisation(float(texel[P_SHAPE]))[0])
-    place_sample(texel, PLAIN_TENSOR, 1.0, normalisation, block, 0)
+            look_up(packed, level, column, row, tile, scale, texels, 0)
+    weight[0], normalisation[0] = 1.0, math.exp(log_normalisation(float(texels[0, P_SHAPE]))[0])
+    place_samples(texels, 1, PLAIN_TENSOR, weight, normalisation, block)
 
 
 @kernel
 def pyramid_rows(packed, levels, tile, centre, base_size, detail, view, frame, light, irradiance, out,
                  log_normalisation, shade):  # fmt: skip
     """Radiance of pixels shaded once, each with the trilinear value of a pyramid. Arrays as in ``reference_rows``."""
-    block = np.empty((BLOCK_ROWS, 1), np.float32)
-    texel = np.empty(PACKED, np.float32)
+    block, scratch = np.empty((BLOCK_ROWS, 1), np.float32), make_scratch(1)
     v, towards, sums = np.empty(3), np.empty(3), np.empty(3)
     for p in range(out.shape[0]):
-        sample_pyramid(packed, levels, tile, centre[p], base_size, detail[p], log_normalisation, texel, block)
+        sample_pyramid(packed, levels, tile, centre[p], base_size, detail[p], log_normalisation, scratch, block)
         for k in range(3):
             v[k] = view[p, k]
         light_pixel(block, 1, v, frame[p], light, irradiance, towards, sums, out[p], shade)
@@ -324,30 +361,26 @@ def pair_rows(packed, level, roughness_kind, has_shape, tile, footprints, keys, 
               weight_x, weight_y, lobes, error, square, log_normalisation, shade, other_shade):  # fmt: skip
     """Errors of lobes at n footprints over Q pairs of directions; all float64 but ``packed`` and ``lobes``.
 
-    ``view`` and ``light`` (n, Q, 3), ``weight`` (n, Q); ``lobes`` (n, BLOCK_ROWS, M): of each footprint a block of the
-    M methods' lobes, shaded by ``other_shade``. Writes the weighted sums of (M - A)(M - B) into ``error`` (M, n) and of
-    A B into ``square`` (n,), A and B the two independent halves of the truth.
+    ``view`` and ``light`` (n, Q, 3), ``weight`` (n, Q); ``lobes`` (n, M, BLOCK_ROWS, 1): of each footprint
+    the M methods' lobes, shaded by ``other_shade``. Writes the weighted sums of (M - A)(M - B) into ``error``
+    (M, n) and of A B into ``square`` (n,), A and B the two independent halves of the truth.
     """
     block = np.empty((BLOCK_ROWS, BLOCK), np.float32)
-    texel = np.empty(PACKED, np.float32)
-    axes, sums = np.empty((2, 2)), np.empty(3)
+    scratch, sums = make_scratch(BLOCK), np.empty(3)
     pairs = view.shape[1]
     truth = np.empty((2, pairs, 3))
     samples = (strata_x.size - 1) * (strata_y.size - 1)
     for g in range(keys.size):
-        axes[0, 0], axes[0, 1], axes[1, 0], axes[1, 1] = (
-            footprints[g, 2], footprints[g, 3], footprints[g, 4], footprints[g, 5],
-        )  # fmt: skip
         truth[:] = 0.0
         for half in range(2):
             for first in range(0, samples, BLOCK):
                 last = min(first + BLOCK, samples)
                 fill_block(
-                    packed, level, roughness_kind, has_shape, tile, footprints[g], axes, strata_x, strata_y, weight_x,
-                    weight_y, first, last, half, keys[g], log_normalisation, texel, block,
+                    packed, level, roughness_kind, has_shape, tile, footprints[g], strata_x, strata_y, weight_x,
+                    weight_y, first, last, half, keys[g], log_normalisation, scratch, block,
                 )  # fmt: skip
                 for pair in range(pairs):
-                    shade(block, 0, last - first, view[g, pair], light[g, pair], truth[half, pair])
+                    shade(block, last - first, view[g, pair], light[g, pair], truth[half, pair])
         square[g] = 0.0
         for pair in range(pairs):
             for k in range(3):
@@ -356,13 +389,6 @@ def pair_rows(packed, level, roughness_kind, has_shape, tile, footprints, keys, 
             error[m, g] = 0.0
             for pair in range(pairs):
                 sums[:] = 0.0
-                other_shade(lobes[g], m, m + 1, view[g, pair], light[g, pair], sums)
+                other_shade(lobes[g, m], 1, view[g, pair], light[g, pair], sums)
                 for k in range(3):
                     error[m, g] += weight[g, pair] * (sums[k] - truth[0, pair, k]) * (sums[k] - truth[1, pair, k])
-
-
-@kernel
-def place_lobes(texels, normalisation, block):
-    """Write packed texels (n, PACKED) whose roughness is the log tensor into the columns of a block, weight 1."""
-    for i in range(texels.shape[0]):
-        place_sample(texels[i], LOG_TENSOR, 1.0, normalisation[i], block, i)

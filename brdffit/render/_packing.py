@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from brdffit._jit import numba_type, specialise, types
 from brdffit.models import get_model
-from brdffit.render import _kernels
+from brdffit.render import _environment_kernels, _kernels
 from brdffit.render.terms import Terms
 from brdffit.roughness import perceptual_from_log_tensor, tensor_from_log
 from brdffit.svbrdf import Svbrdf
@@ -63,20 +63,36 @@ def _pack(levels: Sequence[Svbrdf], roughness: Sequence[NDArray], kind: int) -> 
 @cache
 def shading_kernels(model: str, terms: Terms) -> tuple[Any, Any]:
     """(log_normalisation, shade) of a model and some terms, in the order that the drivers take them."""
-    chosen = get_model(model)
+    log_normalisation = get_model(model).log_normalisation
+    _compile(log_normalisation, (types.float64,))
+    return log_normalisation, _specialised(_kernels.shade_block, _kernels.shade_type, model, terms)
+
+
+@cache
+def environment_kernels(model: str, terms: Terms) -> tuple[Any, Any, Any]:
+    """(log_normalisation, shade_directions, shade_matt), as ``shading_kernels``."""
+    loops = _environment_kernels
+    return (
+        shading_kernels(model, terms)[0],
+        _specialised(loops.shade_directions, loops.shade_directions_type, model, terms),
+        _specialised(loops.shade_matt, loops.shade_matt_type, model, terms),
+    )
+
+
+def _specialised(loop: Any, kind: Any, model: str, terms: Terms) -> Any:
+    """A shading loop for a model and some terms, compiled (or loaded) for its one signature."""
     shade = specialise(
-        _kernels.shade_block,
+        loop,
         f"_{model.replace('-', '_')}{terms.suffix}",
-        profile=chosen.profile,
+        profile=get_model(model).profile,
         LOBE=terms.lobe,
         MASKING=terms.masking,
         FRESNEL=terms.fresnel,
         DIFFUSE=terms.diffuse,
         COSINE=terms.cosine,
     )
-    _compile(shade, _kernels.shade_type.signature.args)
-    _compile(chosen.log_normalisation, (types.float64,))
-    return chosen.log_normalisation, shade
+    _compile(shade, kind.signature.args)
+    return shade
 
 
 def _compile(dispatcher: Any, arguments: tuple[Any, ...]) -> None:
@@ -120,5 +136,31 @@ def pair_loop() -> Any:
     """``pair_rows``."""
     return _driver(
         _kernels.pair_rows, _TEXELS, _LEVEL, 0, False, False, _IMAGE, _INDEX, _IMAGE[None], _IMAGE[None], _IMAGE,
-        _LINE, _LINE, _LINE, _LINE, _TEXELS[None], _IMAGE, _LINE, functions=(*_FUNCTIONS, _kernels.shade_type),
+        _LINE, _LINE, _LINE, _LINE, _TEXELS[None, None], _IMAGE, _LINE, functions=(*_FUNCTIONS, _kernels.shade_type),
+    )  # fmt: skip
+
+
+_SURROUNDINGS = (np.zeros((9, 1), np.float32), np.zeros((1, 1, 4), np.float32), np.zeros((2, 9, 3), np.float32))
+_AROUND = (
+    _kernels.log_normalisation_type,
+    _environment_kernels.shade_directions_type,
+    _environment_kernels.shade_matt_type,
+)
+
+
+@cache
+def environment_reference_loop() -> Any:
+    """``environment_reference_rows``."""
+    return _driver(
+        _environment_kernels.environment_reference_rows, _TEXELS, _LEVEL, 0, False, False, _IMAGE, _INDEX, _INDEX,
+        _INDEX, _IMAGE, _IMAGE[None], *_SURROUNDINGS, _LINE, _LINE, _LINE, _LINE, 0, _IMAGE, functions=_AROUND,
+    )  # fmt: skip
+
+
+@cache
+def environment_pyramid_loop() -> Any:
+    """``environment_pyramid_rows``."""
+    return _driver(
+        _environment_kernels.environment_pyramid_rows, _TEXELS, _LEVEL[None], False, _IMAGE, _LINE, _LINE, _INDEX,
+        _IMAGE, _IMAGE[None], *_SURROUNDINGS, 0, _IMAGE, functions=_AROUND,
     )  # fmt: skip

@@ -13,6 +13,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+#: Plastic number's reciprocals: the two-dimensional additive recurrence of lowest discrepancy known (Roberts 2018).
+_R2 = (0.7548776662466927, 0.5698402909980532)
+#: Share of samples that follows no luminance, and samples in the table.
+_EVENLY, _TABLE = 1e-3, 1 << 15
+
 
 @dataclass(frozen=True)
 class Environment:
@@ -48,6 +54,91 @@ class Environment:
     def total(self) -> NDArray:
         """(3,) float64 integral of the radiance over all directions."""
         return np.einsum("h,hwc->c", self.solid_angle, self.radiance.astype(np.float64))
+
+    @cached_property
+    def density(self) -> NDArray:
+        """(H, W) float64 density, per steradian, of the directions that ``samples`` draws: as luminance goes.
+
+        A thousandth is drawn evenly from everywhere, so that no direction is left out.
+        """
+        luminance = self.radiance.astype(np.float64) @ _LUMINANCE
+        total = float(self.solid_angle @ luminance.sum(axis=1))
+        if total <= 0.0:
+            return np.full(luminance.shape, 0.25 / math.pi)
+        return (1.0 - _EVENLY) * luminance / total + _EVENLY * 0.25 / math.pi
+
+    def samples(self, count: int) -> tuple[NDArray, NDArray]:
+        """(count, 3) float64 directions drawn by importance, without ``rotation``, and (count, 2) int64 row and column.
+
+        The points are those of a two-dimensional additive recurrence (Roberts 2018), carried through the distribution
+        of rows and that of columns in a row; any run of them is well spread. Same picture, same samples.
+        """
+        height, width = self.radiance.shape[:2]
+        mass = self.density * self.solid_angle[:, None]
+        of_rows = np.cumsum(mass.sum(axis=1))
+        j = np.arange(count)
+        u, w = (0.5 + _R2[0] * j) % 1.0 * of_rows[-1], (0.5 + _R2[1] * j) % 1.0
+        row = np.minimum(np.searchsorted(of_rows, u, side="right"), height - 1)
+        part = (u - np.where(row > 0, of_rows[row - 1], 0.0)) / np.diff(of_rows, prepend=0.0)[row]
+        # One ascending sequence over all rows: row number plus the distribution inside the row.
+        inside = np.cumsum(mass, axis=1)
+        inside = np.arange(height)[:, None] + inside / inside[:, -1:]
+        column = np.searchsorted(inside.ravel(), row + w * (1.0 - 1e-12), side="right") - row * width
+        column = np.clip(column, 0, width - 1)
+        low = np.where(column > 0, inside[row, column - 1], row)
+        across = (row + w - low) / (inside[row, column] - low)
+        edge = np.cos(np.arange(height + 1) * math.pi / height)
+        y = edge[row] + (edge[row + 1] - edge[row]) * np.clip(part, 0.0, 1.0)
+        azimuth = ((column + np.clip(across, 0.0, 1.0)) / width * 2.0 - 1.0) * math.pi
+        level = np.sqrt(np.maximum(1.0 - y * y, 0.0))
+        return np.stack([level * np.sin(azimuth), y, -level * np.cos(azimuth)], -1), np.stack([row, column], -1)
+
+    @cached_property
+    def table(self) -> NDArray:
+        """What the compiled loops draw from, (TABLE_ROWS, n) float32: see ``_environment_kernels``."""
+        direction, at = self.samples(_TABLE)
+        j = np.arange(_TABLE)
+        u, angle = (0.5 + _R2[0] * j) % 1.0, 2.0 * math.pi * ((0.5 + _R2[1] * j) % 1.0)
+        # The lobe's far tail (r > 100) is left to the samples of the surroundings.
+        r = np.sqrt(u / np.maximum(1.0 - u, 1e-4))
+        row, column = at.T
+        radiance, density = self.radiance[row, column], self.density[row, column]
+        rows = [r * np.cos(angle), r * np.sin(angle), *direction.T, *radiance.T, density]
+        return np.stack(rows).astype(np.float32)
+
+    @cached_property
+    def picture(self) -> NDArray:
+        """(H, W, 4) float32: radiance and ``density``."""
+        return np.concatenate([self.radiance, self.density[..., None]], axis=-1, dtype=np.float32, casting="same_kind")
+
+    def harmonics(self, fresnel: bool, cosine: bool = True, clips: bool = True) -> NDArray:
+        """(2, 9, 3) float32: E(n) and E_w(n) over pi as quadratic functions of the normal n, without ``rotation``.
+
+        E is the irradiance over pi; E_w the same with Schlick's (1 - n.l)^5 as another weight (0 without ``fresnel``).
+        Without ``cosine`` n.l is left out, and without ``clips`` the horizon. Coefficients of 1, x, y, z, xy, yz, xz,
+        x^2 - y^2, 3 z^2 - 1. The spherical harmonics of the radiance up to degree 2, each degree scaled by that of the
+        kernel (Funk and Hecke; Ramamoorthi and Hanrahan 2001: 1% on average for the cosine, 3% under a single lamp).
+        """
+        height, width = self.radiance.shape[:2]
+        edge = np.cos(np.arange(height + 1) * math.pi / height)
+        y = 0.5 * (edge[:-1] + edge[1:])[:, None]
+        azimuth = ((np.arange(width) + 0.5) / width * 2.0 - 1.0)[None] * math.pi
+        level = np.sqrt(1.0 - y * y)
+        x, z = level * np.sin(azimuth), -level * np.cos(azimuth)
+        y = np.broadcast_to(y, x.shape)
+        basis = np.stack([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3.0 * z * z - 1.0])
+        squared_norm = 4.0 * math.pi / np.array([1.0, 3.0, 3.0, 3.0, 15.0, 15.0, 15.0, 15.0 / 4.0, 5.0 / 4.0])
+        projected = np.einsum("khw,h,hwc->kc", basis, self.solid_angle, self.radiance.astype(np.float64))
+        t, weight = np.polynomial.legendre.leggauss(64)
+        if clips:
+            t, weight = 0.5 * (t + 1.0), 0.5 * weight
+        out = np.zeros((2, 9, 3), np.float32)
+        for k in range(2 if fresnel else 1):
+            kernel = (t if cosine else np.ones_like(t)) * ((1.0 - np.maximum(t, 0.0)) ** 5 if k else 1.0) / math.pi
+            degrees = [2.0 * math.pi * float(np.sum(weight * kernel * p)) for p in (1.0, t, 1.5 * t * t - 0.5)]
+            scale = np.repeat(degrees, (1, 3, 5)) / squared_norm
+            out[k] = scale[:, None] * projected
+        return out
 
 
 def procedural_environment(height: int = 256) -> Environment:

@@ -95,9 +95,9 @@ def _directions(random: np.random.Generator, texels: int, pairs: int) -> tuple[N
 
 
 def _lobes(levels: Sequence[Svbrdf], columns: NDArray, rows: NDArray, log_normalisation) -> NDArray:  # type: ignore[no-untyped-def]
-    """Blocks (n, BLOCK_ROWS, M) float32 of the lobes of M levels at n texels."""
+    """Blocks (n, M, BLOCK_ROWS, 1) float32 of the lobes of M levels at n texels."""
     default = get_model(levels[0].model).default_shape
-    out = np.zeros((len(columns), _kernels.BLOCK_ROWS, len(levels)), np.float32)
+    out = np.zeros((len(columns), len(levels), _kernels.BLOCK_ROWS, 1), np.float32)
     for m, level in enumerate(levels):
         texels = np.zeros((len(columns), _kernels.PACKED), np.float32)
         for place, array in (
@@ -108,6 +108,6 @@ def _lobes(levels: Sequence[Svbrdf], columns: NDArray, rows: NDArray, log_normal
         texels[:, _kernels.P_SHAPE] = default if level.shape is None else level.shape[rows, columns]
         scale = np.array([math.exp(log_normalisation(float(s))[0]) for s in texels[:, _kernels.P_SHAPE]])
         block = np.zeros((_kernels.BLOCK_ROWS, len(columns)), np.float32)
-        _kernels.place_lobes(texels, scale, block)
-        out[:, :, m] = block.T
+        _kernels.place_samples(texels, len(columns), _kernels.LOG_TENSOR, np.ones(len(columns)), scale, block)
+        out[:, m, :, 0] = block.T
     return out

@@ -14,8 +14,8 @@ Pixels that show the same part of a texture that repeats share their samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,16 @@ from brdffit.render._footprints import (
     run_in_threads,
     strata_rule,
 )  # fmt: skip
-from brdffit.render._packing import pack_base, pack_levels, pyramid_loop, reference_loop, shading_kernels
+from brdffit.render._packing import (
+    environment_kernels,
+    environment_pyramid_loop,
+    environment_reference_loop,
+    pack_base,
+    pack_levels,
+    pyramid_loop,
+    reference_loop,
+    shading_kernels,
+)  # fmt: skip
 from brdffit.render.environment import Environment
 from brdffit.render.lights import Lights
 from brdffit.render.pairs import pair_errors
@@ -44,6 +53,10 @@ from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
 
 __all__ = ["SAMPLES", "Progress", "Reference", "pair_errors", "render_halves", "render_pyramid", "render_reference"]
+
+
+#: Under an environment: samples of a footprint at least, and blocks of directions of either kind for one lobe.
+_LEAST_DIRECTIONS, _PYRAMID_BLOCKS = 1024, 1
 
 
 class Reference(NamedTuple):
@@ -119,27 +132,28 @@ def render_halves(
     """
     _check(base, scene.base_size)
     chosen = get_pixel_filter(pixel_filter)
-    lights = lights if lights is not None else light_sets.few()
     packed, pixels = pack_base(base), _Pixels(scene)
-    loop, kernels = reference_loop(), shading_kernels(base.model, terms)
     footprints = group_footprints(pixels.centre, pixels.axes, scene.base_size, packed.tile)
-    direction, irradiance = lights.direction.astype(np.float64), lights.irradiance.astype(np.float64)
-    view, frame = pixels.view[footprints.order], pixels.frame[footprints.order]
+    of = footprints.order
+    view, frame, keys = pixels.view[of], pixels.frame[of], pixels.key[of]
     found = np.zeros((2, len(view), 3))
+    passes = _lightings(lights, environment, base.model, terms, reference_loop, environment_reference_loop)
 
     def work(rule: Rule, part: slice) -> int:
         starts = footprints.starts[part.start : part.stop + 1]
         inside = slice(int(starts[0]), int(starts[-1]))
         for half in (0, 1):
-            loop(
-                packed.texels, packed.levels[0], packed.roughness_kind, packed.has_shape, packed.tile,
-                footprints.place[part], starts - starts[0], footprints.key[part], view[inside], frame[inside],
-                direction, irradiance, *rule, half, found[half, inside], *kernels,
-            )  # fmt: skip
+            for lighting in passes:
+                lighting.loop(
+                    packed.texels, packed.levels[0], packed.roughness_kind, packed.has_shape, packed.tile,
+                    footprints.place[part], starts - starts[0], footprints.key[part],
+                    *lighting.pixels(keys[inside], view[inside], frame[inside]), *lighting.data, *rule, half,
+                    found[half, inside], *lighting.kernels,
+                )  # fmt: skip
         return inside.stop - inside.start
 
     jobs = []
-    for part, count in equal_samples(footprints.place, samples):
+    for part, count in equal_samples(footprints.place, samples, _LEAST_DIRECTIONS if environment is not None else 1):
         rule = strata_rule(chosen, *count)
         jobs += [(rule, piece) for piece in pieces(footprints.starts, part)]
     run_in_threads(work, jobs, threads, progress, len(view))
@@ -168,19 +182,20 @@ def render_pyramid(
     """
     levels = [level.svbrdf for level in pyramid.levels] if isinstance(pyramid, Pyramid) else list(pyramid)
     _check(levels[0], scene.base_size)
-    lights = lights if lights is not None else light_sets.few()
     packed, pixels = pack_levels(levels), _Pixels(scene)
-    loop, kernels = pyramid_loop(), shading_kernels(packed.model, terms)
     detail = level_of_detail(scene)[pixels.rows, pixels.columns].astype(np.float64)
     base_size = np.array(scene.base_size[::-1], np.float64)
-    direction, irradiance = lights.direction.astype(np.float64), lights.irradiance.astype(np.float64)
     found = np.zeros((len(detail), 3))
+    passes = _lightings(lights, environment, packed.model, terms, pyramid_loop, environment_pyramid_loop)
 
     def work(part: slice) -> int:
-        loop(
-            packed.texels, packed.levels, packed.tile, pixels.centre[part], base_size, detail[part], pixels.view[part],
-            pixels.frame[part], direction, irradiance, found[part], *kernels,
-        )  # fmt: skip
+        for lighting in passes:
+            blocks = () if lighting.environment is None else (_PYRAMID_BLOCKS,)
+            lighting.loop(
+                packed.texels, packed.levels, packed.tile, pixels.centre[part], base_size, detail[part],
+                *lighting.pixels(pixels.key[part], pixels.view[part], pixels.frame[part]), *lighting.data, *blocks,
+                found[part], *lighting.kernels,
+            )  # fmt: skip
         return part.stop - part.start
 
     step = PIXELS_PER_PIECE
@@ -191,12 +206,49 @@ def render_pyramid(
     return picture
 
 
+class _Lighting(NamedTuple):
+    """A compiled loop, and what it reads of one kind of light: directional lights, or an environment."""
+
+    loop: Any
+    kernels: tuple[Any, ...]
+    data: tuple[NDArray, ...]
+    environment: Environment | None
+
+    def pixels(self, key: NDArray, view: NDArray, frame: NDArray) -> tuple[NDArray, ...]:
+        """What the loop reads of pixels; an environment is turned by turning the surface the other way."""
+        if self.environment is None:
+            return view, frame
+        angle = self.environment.rotation
+        cos, sin = math.cos(angle), math.sin(angle)
+        turn = np.array([(cos, 0.0, sin), (0.0, 1.0, 0.0), (-sin, 0.0, cos)])
+        return key, view, np.ascontiguousarray(frame @ turn)
+
+
+def _lightings(
+    lights: Lights | None, environment: Environment | None, model: str, terms: Terms,
+    loop: Callable[[], Any], environment_loop: Callable[[], Any],
+) -> list[_Lighting]:  # fmt: skip
+    """What lights a picture: lights, an environment, or both; the few small lights where neither is given."""
+    found = []
+    if lights is None and environment is None:
+        lights = light_sets.few()
+    if lights is not None:
+        data = lights.direction.astype(np.float64), lights.irradiance.astype(np.float64)
+        found.append(_Lighting(loop(), shading_kernels(model, terms), data, None))
+    if environment is not None:
+        harmonics = environment.harmonics(terms.fresnel, terms.cosine, terms.clips)
+        around = environment.table, environment.picture, harmonics
+        found.append(_Lighting(environment_loop(), environment_kernels(model, terms), around, environment))
+    return found
+
+
 class _Pixels:
     """The covered pixels of a scene, one after another, as the loops want them: contiguous, double precision."""
 
     def __init__(self, scene: Scene) -> None:
         self.rows, self.columns = np.nonzero(scene.coverage > 0.0)
         at = self.rows, self.columns
+        self.key = (self.rows * 65536 + self.columns).astype(np.int64)
         self.centre, self.axes, self.view, self.frame = (
             np.ascontiguousarray(array[at], np.float64) for array in (scene.centre, scene.axes, scene.view, scene.frame)
         )
