@@ -7,12 +7,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install data bake picture test test-slow bench bench-full lint clean
+.PHONY: help install data bake compare picture test test-slow bench bench-full lint clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make bake [SET=folder] [OUT=out] [OPTIONS=...]  bake a texture set and show the picture"
 	@echo "make data        make the shipped texture sets in data/sets"
+	@echo "make compare     [SETS=\"folder ...\"]  every method against the reference, on the shipped sets: report/index.html"
 	@echo "make test        the tests; make test-slow runs those that take long"
 	@echo "make bench       speed and accuracy, the short way; make bench-full takes its time"
 	@echo "make lint        ruff and mypy"
@@ -40,6 +41,9 @@ data/sets/made: $(wildcard data/*.toml) brdffit/textures/procedural.py brdffit/t
 bake: install $(if $(filter data/sets/%,$(SET)),data/sets/made)
 	$(BIN)/brdffit bake "$(SET)" -o "$(OUT)" --show $(OPTIONS)
 
+compare: data/sets/made
+	$(BIN)/brdffit compare $(or $(SETS),data/sets/*/) -o report $(OPTIONS)
+
 picture: data/sets/made
 	$(BIN)/brdffit bake data/sets/grooved-record -o out/picture
 	mkdir -p docs
@@ -64,4 +68,4 @@ lint: install
 	$(BIN)/mypy
 
 clean:
-	rm -rf $(VENV) build *.egg-info data/sets out bench .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	rm -rf $(VENV) build *.egg-info data/sets out bench report .pytest_cache .hypothesis .mypy_cache .ruff_cache

@@ -67,6 +67,14 @@ def _roles(ctx: click.Context, parameter: click.Parameter, pairs: tuple[str, ...
     return roles or None
 
 
+def _texel(ctx: click.Context, parameter: click.Parameter, text: str) -> tuple[int, int]:
+    """X,Y as (column, row)."""
+    column, comma, row = text.partition(",")
+    if not (comma and column.strip().isdecimal() and row.strip().isdecimal()):
+        raise click.BadParameter(f"'{text}' is not of the form X,Y, for example 12,7.")
+    return int(column), int(row)
+
+
 def _reading_options(command: Callable) -> Callable:
     """Options that say how a set is read."""
     for option in (
@@ -180,6 +188,46 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
     print_plan(summary.plan) if options["dry_run"] else print_summary(summary, output)
     if summary.failures or summary.plan.failures:
         context.exit(1)
+
+
+@main.command()
+@click.argument("sources", metavar="SET...", nargs=-1)
+@click.option("-o", "--output", type=click.Path(path_type=Path), show_default="report", help="Folder of the report.")
+@click.option("--methods", multiple=True, metavar="A,B,...", show_default="all", help="See `brdffit methods`.")
+@click.option("--quick", is_flag=True, help="A look: small pictures, few samples, draft fit.")
+@click.option("--quality", **_choice("draft", "standard", "fine"), show_default="standard")
+@click.option("--environment", metavar="FILE", show_default="procedural", help="Equirectangular .hdr or .exr picture.")
+@click.option("--model", callback=_known("model"), show_default="ggx", help="See `brdffit models`.")
+@click.option("--pixel-filter", **_choice("box", "gaussian", "mitchell"), show_default="box")
+@click.option("--specular", **_choice("free", "held"), show_default="free", help="Scale of the lobe.")
+@click.option("--lobe", **_choice("anisotropic", "isotropic"), show_default="anisotropic")
+@click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no picture depends on it.")
+@click.option("--from", "records", metavar="FILE", help="Draw the page of this records.json anew; computes nothing.")
+@_reading_options
+def compare(sources: tuple[str, ...], output: Path | None, records: str | None, **asked: Any) -> None:
+    """Bake each SET by every method, hold them against the reference, and write a report."""
+    from brdffit.comparison.console import compare_to_folder, print_summary, redraw
+
+    if bool(sources) == bool(records):
+        raise click.UsageError("Give texture sets to compare, or --from FILE to draw a report anew.")
+    reading = {name: asked.pop(name) for name in ("roles", "normal_y", "wrap", "height_scale")}
+    given = {name: value for name, value in asked.items() if value not in (None, False, ())}
+    page = redraw(records, output) if records else compare_to_folder(sources, output or "report", reading, **given)
+    print_summary(page)
+
+
+@main.command()
+@click.argument("source", metavar="SET")
+@click.option("--level", type=click.IntRange(min=0), default=3, help="MIP level of the texel.")
+@click.option("--texel", default="0,0", callback=_texel, metavar="X,Y", help="Column and row in that level.")
+@click.option("--model", default="ggx", callback=_known("model"), help="See `brdffit models`.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("landscape.svg"), help=".svg or .png")
+@_reading_options
+def landscape(source: str, level: int, texel: tuple[int, int], model: str, output: Path, **reading: Any) -> None:
+    """Draw the error of one texel over roughness and normal, and the path that the optimiser took."""
+    from brdffit.comparison.console import draw_landscape
+
+    draw_landscape(source, level, texel, output, model=model, reading=reading)
 
 
 @main.command()

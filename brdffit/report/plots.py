@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import base64
 import io
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.errors import OutputError
 from brdffit.report.records import Comparison, LobeView, SetResult, unpack
 from brdffit.report.summary import DISTANCES, GROUPS, Row, differences, figure_of, fit_name, view_of
 
@@ -130,12 +133,43 @@ def landscape_figure(landscape: Any, title: str) -> Any:
         axis.plot(*path[-1], marker="*", markersize=15, color="#b3005e", markeredgecolor="white", linestyle="none",
                   label="end")  # fmt: skip
         axis.set_xscale("log")
-        axis.set_xlabel("alpha (roughness of the lobe; to the left: higher power)")
-        axis.set_ylabel("angle of the normal from the start (degrees)")
-        axis.set_title(title, loc="left")
+        axis.set_xlabel("alpha")
+        axis.secondary_xaxis("top", functions=(_power, _alpha)).set_xlabel("power of a Blinn-Phong lobe as wide")
+        axis.set_ylabel("lean of the normal from the end of the search (degrees)")
+        figure.suptitle(title, x=0.01, ha="left")
         axis.legend(loc="best", fontsize=8)
         figure.colorbar(image, label="log(1 + relative squared error)")
         return figure
+
+
+def save_landscape(landscape: Any, title: str, path: str | os.PathLike[str]) -> None:
+    """Write ``landscape_figure`` as .svg or .png, in full or not at all.
+
+    Raises:
+        OutputError: for another suffix, or when the file cannot be written.
+    """
+    path = Path(path)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("svg", "png"):
+        raise OutputError(f"'{path}' ends in '{path.suffix}', expected a picture that ends in .svg or .png.")
+    fresh = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        landscape_figure(landscape, title).savefig(fresh, format=kind, dpi=150)
+        fresh.replace(path)
+    except OSError as error:
+        raise OutputError(f"'{path}' could not be written: {error.strerror or error}.") from error
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def _power(alpha: Any) -> Any:
+    """Blinn-Phong power of an alpha, 2 / alpha^2 (less 2 for wide lobes, which a logarithmic axis cannot show)."""
+    return 2.0 / np.square(np.maximum(alpha, 1e-9))
+
+
+def _alpha(power: Any) -> Any:
+    return np.sqrt(2.0 / np.maximum(power, 1e-9))
 
 
 def data_address(picture: NDArray, lossless: bool = False) -> str:

@@ -1,0 +1,166 @@
+"""The commands ``compare`` and ``landscape``, and what they show in a terminal."""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from brdffit.report.records import MOST_DB, RECORDS, Comparison
+from brdffit.report.summary import DISTANCES, GROUPS, Cell, summary
+
+Path_ = str | os.PathLike[str]
+#: Columns where no terminal sets them.
+_PIPED_WIDTH = 140
+
+
+class Written(NamedTuple):
+    """A report on the disk: its records, and where its page is."""
+
+    comparison: Comparison
+    page: Path
+
+
+class ComparisonDisplay:
+    """What a comparison is doing, on standard error: one line, and a bar while texels are baked."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True, highlight=False)
+        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
+        self._bars = Progress(*columns, TimeElapsedColumn(), console=console, transient=True)
+        self._task = self._bars.add_task("", total=None)
+        self._text, self._level = "", -1
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bars.stop()
+
+    def phase(self, text: str) -> None:
+        """Something begins."""
+        self._text, self._level = text, -1
+        self._bars.update(self._task, description=text, total=None, completed=0)
+
+    def __call__(self, level: int, done: int, total: int) -> None:
+        """``done`` of ``total`` texels of a level are baked."""
+        description = f"{self._text}, level {level}"
+        self._bars.update(self._task, description=description, total=total, completed=done)
+
+
+def compare_to_folder(sources: Sequence[Path_], folder: Path_, reading: Mapping[str, Any], **asked: Any) -> Written:
+    """Compare sets and write the report; what was in the folder stays until all is done.
+
+    Args:
+        sources: sets. folder: of the report. reading: see ``read_texture_set``. asked: see ``Ask.of``.
+
+    Raises:
+        InputError, UnknownNameError, OutputError: see ``compare`` and ``write_report``.
+    """
+    # Heavy: numba and the kernels behind it.
+    from brdffit.comparison.ask import Ask
+    from brdffit.comparison.compare import compare
+    from brdffit.report.writing import check_report_folder, write_report
+
+    ask = Ask.of(reading=reading, **asked)
+    check_report_folder(folder)
+    command = shlex.join(["brdffit", *sys.argv[1:]])
+    with ComparisonDisplay() as display:
+        comparison, pictures = compare(sources, ask, command=command, listener=display)
+        display.phase("drawing the page")
+        return Written(comparison, write_report(comparison, pictures, folder))
+
+
+def redraw(records: Path_, folder: Path_ | None = None) -> Written:
+    """Draw the page of records anew, beside them unless a folder is given.
+
+    Raises:
+        InputError: when records or pictures cannot be read.
+        OutputError: when the folder cannot be written.
+    """
+    from brdffit.report.writing import read_report, write_report
+
+    path = Path(records)
+    comparison, pictures = read_report(path)
+    own = path if path.is_dir() else path.parent
+    return Written(comparison, write_report(comparison, pictures, own if folder is None else folder))
+
+
+def print_summary(written: Written) -> None:
+    """SNR of every method at near, mid and far; the first of each column marked by a star."""
+    console = Console(highlight=False, markup=False, emoji=False)
+    if not console.is_terminal:
+        console.width = _PIPED_WIDTH
+    comparison = written.comparison
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("method\n")
+    for group, _ in GROUPS:
+        for i, distance in enumerate(DISTANCES):
+            table.add_column(f"{group if i == 0 else ''}\n{distance}", justify="right")
+    table.add_column("\nseconds", justify="right")
+    for row in summary(comparison):
+        seconds = "-" if row.seconds is None else f"{row.seconds:.2f}"
+        table.add_row(row.method, *map(_cell, row.cells), seconds)
+    sets = ", ".join(result.name for result in comparison.sets)
+    console.print(f"SNR in dB, mean over {sets} (* first of its column)")
+    console.print(table)
+    for result in comparison.sets:
+        for each in result.skipped:
+            console.print(f"- {result.name}: no {each.method}. {each.reason}", soft_wrap=True)
+    phases: dict[str, float] = {}
+    for result in comparison.sets:
+        for name, value in result.seconds.items():
+            phases[name] = phases.get(name, 0.0) + value
+    console.print(", ".join(f"{name} {value:.1f} s" for name, value in phases.items()), soft_wrap=True)
+    console.print(f"{written.page} (figures: {written.page.with_name(RECORDS)})", soft_wrap=True)
+
+
+def draw_landscape(
+    source: Path_, level: int, texel: tuple[int, int], output: Path, *, model: str, reading: Mapping[str, Any]
+) -> None:
+    """Read a set, compute the landscape of a texel and draw it.
+
+    Raises:
+        InputError: for a set, level or texel that there is not.
+        OutputError: when the picture cannot be written.
+    """
+    from brdffit.landscape import landscape
+    from brdffit.report.plots import save_landscape
+    from brdffit.textures.conversion import to_svbrdf
+    from brdffit.textures.texture_set import read_texture_set
+
+    began = time.perf_counter()
+    texture_set = read_texture_set(source, **reading)
+    found = landscape(to_svbrdf(texture_set), level, texel, model=model)
+    title = f"{texture_set.name}, level {level}, texel {texel[0]},{texel[1]}: log(1 + error)"
+    save_landscape(found, title, output)
+    first, last = (_decibels(-10.0 * _log10(value)) for value in (found.values[0], found.values[-1]))
+    console = Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
+    console.print(f"{len(found.path) - 1} steps, {first} to {last} dB, {time.perf_counter() - began:.1f} s: {output}")
+
+
+def _cell(cell: Cell) -> Text:
+    text = _decibels(cell.value)
+    return Text(f"*{text}" if cell.best else text, style="bold magenta" if cell.best else "")
+
+
+def _decibels(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.1f}" if abs(value) < MOST_DB else ("inf" if value > 0 else "-inf")
+
+
+def _log10(value: float) -> float:
+    return math.log10(max(value, 1e-10))
