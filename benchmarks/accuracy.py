@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.materials import NAMED, accuracy_sets, load_any
 from benchmarks.record import Section, Target
-from brdffit.fitting.batch import ModelKernels, fit_texels, make_output, model_kernels
-from brdffit.fitting.method import _search, level_rules
+from brdffit.fitting.method import search_settings
 from brdffit.fitting.presets import get_quality
+from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.fitting.solvers import oracle
-from brdffit.footprint import get_pixel_filter
-from brdffit.halfangle.apparent_lobe import Base, base_of
-from brdffit.halfangle.measure import lobe_parameters, measure_lobes, random_texels, snr
+from brdffit.halfangle.apparent_lobe import base_of
+from brdffit.halfangle.measure import lobe_parameters, random_texels, snr
 from brdffit.methods import BakeOptions, get_method
 from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -63,27 +59,28 @@ def measure_accuracy(
 
 def compare_set(name: str, svbrdf: Svbrdf, texels: int, qualities: tuple[str, ...], levels: int = LEVELS) -> list[dict]:
     """One row a level."""
-    model = get_model("ggx")
-    kernels, base = model_kernels("ggx", "ggx"), base_of(svbrdf)
+    model, base = get_model("ggx"), base_of(svbrdf)
     sizes = level_sizes(svbrdf.size, levels)
     closed = {each: get_method(each).bake(svbrdf, BakeOptions(levels=levels)) for each in CLOSED_FORMS}
     rows = []
     for mip_level, size in enumerate(sizes):
         at = random_texels(size, texels, seed=1000 + mip_level)
-        lobes: dict[str, tuple[NDArray, NDArray]] = {}
+        sample = LevelSample(svbrdf, mip_level, *at, base=base, threads=_THREADS)
+        lobes: dict[str, Lobes] = {}
         for each, pyramid in closed.items():
             version = pyramid[mip_level].svbrdf
-            lobes[each] = lobe_parameters(version, *at), version.specular[at[1], at[0]].astype(np.float64)
-        asked = [(quality, "free") for quality in qualities] + [("standard", "held")]
-        for quality, specular in asked:
-            options = BakeOptions(quality=quality, specular=specular)
-            found = fit_sample(base, svbrdf.size, size, mip_level, *at, options, kernels)
-            lobes[quality if specular == "free" else "held"] = found
-        search = _search(BakeOptions(), get_quality("standard"), base, model, model)
-        given = np.stack([lobes[quality][0] for quality in qualities])
-        best = oracle(base, svbrdf.size, size, *at, search=search, kernels=kernels, given=given, threads=_THREADS)
-        lobes["oracle"] = best.theta, best.scale
-        figures = _figures(base, svbrdf.size, size, at, lobes, kernels)
+            lobes[each] = Lobes(lobe_parameters(version, *at), version.specular[at[1], at[0]].astype(np.float64))
+        for quality in qualities:
+            lobes[quality] = sample.fit(BakeOptions(quality=quality))[0]
+        lobes["held"] = sample.fit(BakeOptions(specular="held"))[0]
+        search = search_settings(BakeOptions(), get_quality("standard"), base, model, model)
+        given = np.stack([lobes[quality].theta for quality in qualities])
+        best = oracle(
+            base, svbrdf.size, size, *at, search=search, kernels=sample.kernels(), given=given, threads=_THREADS
+        )
+        lobes["oracle"] = Lobes(best.theta, best.scale)
+        error = sample.measure(list(lobes.values())).error
+        figures = {name: min(snr(error[k]), 99.0) for k, name in enumerate(lobes)}
         rival = max(figures["vmf"], figures["lean"])
         rows.append(
             {"set": name, "level": mip_level, "texels": len(at[0])}
@@ -91,56 +88,6 @@ def compare_set(name: str, svbrdf: Svbrdf, texels: int, qualities: tuple[str, ..
             | {"gap": figures["oracle"] - figures["standard"], "margin": figures["standard"] - rival}
         )
     return rows
-
-
-def fit_sample(
-    base: Base, base_size: tuple[int, int], size: tuple[int, int], mip_level: int, columns: NDArray, rows: NDArray,
-    options: BakeOptions, kernels: ModelKernels,
-) -> tuple[NDArray, NDArray]:  # fmt: skip
-    """theta (n, 6) and scale (n, 3) of the fit on these texels alone: the same as in a whole bake."""
-    quality, model = get_quality(options.quality), get_model("ggx")
-    rules = level_rules(get_pixel_filter(options.pixel_filter), base_size, size, mip_level, quality)
-    search = _search(options, quality, base, model, model)
-    output = make_output(len(columns))
-    model_kernels("ggx", "ggx")
-
-    def work(part: slice) -> None:
-        own = type(output)(*(array[part] for array in output))
-        fit_texels(base, rules, columns[part], rows[part], search, own, kernels)
-
-    _in_parts(work, len(columns))
-    normal = output.normal.astype(np.float64)
-    theta = np.zeros((len(columns), 6))
-    theta[:, 0:2] = -normal[:, 0:2] / normal[:, 2:3]
-    theta[:, 2:5], theta[:, 5] = output.log_roughness, output.shape
-    return theta, output.specular.astype(np.float64)
-
-
-def _figures(
-    base: Base, base_size: tuple[int, int], size: tuple[int, int], at: tuple[NDArray, NDArray],
-    lobes: dict[str, tuple[NDArray, NDArray]], kernels: ModelKernels,
-) -> dict[str, Any]:  # fmt: skip
-    """SNR in dB of each version, all against one table a texel."""
-    theta, scale = (np.stack([pair[k] for pair in lobes.values()]) for k in range(2))
-    error = np.zeros(theta.shape[:2])
-
-    def work(part: slice) -> None:
-        error[:, part] = measure_lobes(
-            base, base_size, size, theta[:, part].copy(), scale[:, part].copy(), at[0][part], at[1][part],
-            pixel_filter="box", exponent=3, kernels=kernels,
-        ).error  # fmt: skip
-
-    _in_parts(work, len(at[0]))
-    return {name: min(snr(error[k]), 99.0) for k, name in enumerate(lobes)}
-
-
-def _in_parts(work: Callable[[slice], None], count: int) -> None:
-    """On threads, texels dealt out in turn (the loops release the GIL); one alone first, for it may compile."""
-    work(slice(0, 1))
-    with ThreadPoolExecutor(_THREADS) as pool:
-        bounds = np.linspace(1, count, 4 * _THREADS + 1).astype(int)
-        parts = [slice(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if b > a]
-        list(pool.map(work, parts))
 
 
 def targets(rows: list[dict]) -> list[Target]:

@@ -195,7 +195,8 @@ def test_isotropic_tensors_have_no_zero_over_zero():
 def evaluator(width):
     """``objective.evaluate`` for this float type, compiled for function-typed kernels."""
     real, floats = (np.float32, types.float32) if width == 32 else (np.float64, types.float64)
-    kernel = objective.evaluate if width == 32 else specialise(objective.evaluate, "_64", real=np.float64)
+    # A copy of its own: it is closed to other signatures below, which the solvers may still ask of the original.
+    kernel = specialise(objective.evaluate, f"_test_{width}", real=real)
     line = numba_type(np.zeros(1))
     signature = (
         line, numba_type(np.zeros((NODE_ROWS, 1), real)), line, objective.moments_type(floats),

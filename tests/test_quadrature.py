@@ -15,6 +15,7 @@ from lobe_oracle import (
 )
 
 from brdffit.fitting.batch import model_kernels
+from brdffit.fitting.scoring import coverage
 from brdffit.halfangle.apparent_lobe import add_defensive_lobe, base_of, normalise_mixture, normalise_shapes
 from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, LEAN, STARTS, closed_forms
 from brdffit.halfangle.measure import measure_lobes
@@ -222,3 +223,17 @@ def test_nothing_reflected_and_nothing_claimed_is_no_error():
     )  # fmt: skip
     assert found.error[0, 0] == 0.0
     assert found.error[1, 0] > 0.5  # a phantom highlight of full strength
+
+
+@footprints
+def test_nodes_see_the_lobes_that_they_were_drawn_from_and_no_others(name):
+    """Coverage is 1 where nodes stand and far from it for a needle where none do, though they see half of its mass."""
+    nodes = table(name, nodes=320).astype(np.float32)
+
+    def seen(normal, log_tensor):
+        theta = np.array([-normal[0] / normal[2], -normal[1] / normal[2], *log_tensor, 0.0])
+        return coverage(theta, nodes, 3, np.zeros(16))
+
+    for normal, log_tensor in fitted_lobes(name):
+        assert seen(normal, log_tensor) == pytest.approx(1.0, abs=0.15)
+    assert abs(seen(normal_of_slopes(-1.6, 1.4), log_tensor_of(0.01, 0.01)) - 1.0) > 0.5

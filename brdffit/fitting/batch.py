@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from brdffit._jit import kernel, numba_type, specialise, types
 from brdffit.fitting.bfgs import WORK
+from brdffit.fitting.scoring import EVALUATIONS, FILTERED, REPORT, RESIDUAL
 from brdffit.fitting.status import FALLBACK
-from brdffit.fitting.texel import EVALUATIONS, FILTERED, REPORT, RESIDUAL, Rule, Scratch, Search, fit_texel
+from brdffit.fitting.texel import GUARDS, Rule, Scratch, Search, fit_texel
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
 from brdffit.halfangle.closed_forms import STARTS
@@ -177,7 +178,7 @@ def make_workplace(level: LevelRules, float_width: int = 32) -> tuple[Scratch, t
     real = np.float32 if float_width == 32 else np.float64
     parameters = objective.PARAMETERS
     scratch = Scratch(
-        lobes=np.zeros((level.room + 1, quadrature.LOBE_COLUMNS)),
+        lobes=np.zeros((level.room + 1 + GUARDS, quadrature.LOBE_COLUMNS)),
         work=np.zeros(WORK),
         setting=np.zeros(6),
         theta=np.zeros(parameters),

@@ -63,7 +63,7 @@ class NonlinearFit:
         self.prepare(target.name, source.name)
         kernels = model_kernels(source.name, target.name)
         base = base_of(svbrdf, source.default_shape)
-        search = _search(options, quality, base, source, target)
+        search = search_settings(options, quality, base, source, target)
         sizes = level_sizes(svbrdf.size, options.levels)
         pyramid = Pyramid(self.name, options, [])
         for mip_level, size in enumerate(sizes):
@@ -99,7 +99,7 @@ def level_rules(
     return LevelRules(chosen, max(quality.room, 2 * chosen.samples), points)
 
 
-def _search(options: BakeOptions, quality: Quality, base: Base, source: Model, target: Model) -> Search:
+def search_settings(options: BakeOptions, quality: Quality, base: Base, source: Model, target: Model) -> Search:
     """Settings of the search from what the user asked for."""
     free = FREE_NORMAL if one_of("normal", options.normal, ("free", "mean")) == "free" else 0
     if one_of("lobe", options.lobe, ("anisotropic", "isotropic")) == "anisotropic" and not target.isotropic:

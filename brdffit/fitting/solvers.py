@@ -23,7 +23,8 @@ from scipy import optimize
 from brdffit._jit import numba_type, types
 from brdffit.fitting.batch import ModelKernels
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, search_columns
-from brdffit.fitting.texel import REPORT, RESIDUAL, TARGET_NORM, Search, aim, settle_scale
+from brdffit.fitting.scoring import REPORT, RESIDUAL, TARGET_NORM, aim, settle_scale
+from brdffit.fitting.texel import Search
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
 from brdffit.halfangle.closed_forms import PEAK, STARTS, STEEPEST_SLOPE
@@ -75,7 +76,7 @@ class Problem:
         )  # fmt: skip
         self._settle = _entry(
             settle_scale, (self.gradient, self.nodes, self.setting, kernels.values, kernels.log_normalisation,
-                           self.values, self.work, self.report),
+                           self.values, search.exponent, self.work, self.report),
         )  # fmt: skip
         self._base: Base | None = None
         self._tabulate: Callable | None = None
@@ -119,7 +120,7 @@ class Problem:
         """Relative squared error and best scale (3,) of a lobe inside its bounds."""
         self._settle(
             theta, self.nodes, self.setting, self.kernels.values, self.kernels.log_normalisation, self.values,
-            self.work, self.report,
+            self.search.exponent, self.work, self.report,
         )  # fmt: skip
         return float(self.report[RESIDUAL]), self.report[0:3].copy()
 

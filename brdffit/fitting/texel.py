@@ -9,6 +9,20 @@ import numpy as np
 
 from brdffit._jit import inline, kernel
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, minimise
+from brdffit.fitting.scoring import (
+    BLUE_SCALE,
+    COVERAGE,
+    DISAGREEMENT,
+    EVALUATIONS,
+    FILTERED,
+    GREEN_SCALE,
+    RED_SCALE,
+    RESIDUAL,
+    TARGET_NORM,
+    aim,
+    settle_scale,
+    target_norm,
+)
 from brdffit.fitting.status import (
     CONVERGED,
     FALLBACK,
@@ -18,6 +32,7 @@ from brdffit.fitting.status import (
 )
 from brdffit.halfangle.apparent_lobe import (
     add_defensive_lobe,
+    add_guard,
     gather_lobes,
     normalise_mixture,
     normalise_shapes,
@@ -37,10 +52,8 @@ from brdffit.halfangle.objective import (
     LOG_HIGH,
     LOG_LOW,
     PARAMETERS,
-    SCALE,
     SHAPE_HIGH,
     SHAPE_LOW,
-    TARGET,
     evaluate,
 )
 from brdffit.halfangle.quadrature import (
@@ -57,13 +70,12 @@ from brdffit.halfangle.quadrature import (
 
 real = np.float32
 
-# What a fit reports of itself, besides its parameters.
-RED_SCALE, GREEN_SCALE, BLUE_SCALE, RESIDUAL, DISAGREEMENT, EVALUATIONS, TARGET_NORM, FILTERED = range(8)
-# The filtered colour, (red, green, blue) from FILTERED on; 0 where a negative filter weight makes it negative.
-REPORT = FILTERED + 3
-
 # A mean spread below this (in units of the lobe's width) changes a lobe by less than 1%: the cheaper table will do.
 _NARROW_SPREAD = 0.01
+# A lobe is hidden from nodes that miss (or overrate) what they should see of it by this share.
+_HIDDEN = 0.3
+#: How often a lobe that was found where no nodes stand may ask for nodes of its own.
+GUARDS = 3
 # Relative squared error (8 dB) at which a search is not believed to have found the best lobe.
 _POOR = 0.15
 # Squared cosine between the colour that a target was aimed with and the best scale's, above which they are the same.
@@ -135,63 +147,6 @@ def clamp_to_domain(theta, search):
 
 
 @kernel
-def target_norm(nodes):
-    """<T,T> over all channels."""
-    red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
-    norm = real(0.0)
-    for j in range(nodes.shape[1]):
-        norm += weight[j] * (red[j] * red[j] + green[j] * green[j] + blue[j] * blue[j])
-    return float(norm)
-
-
-@kernel
-def aim(nodes, colour, target_norm, setting):
-    """Set the scalar target for this colour: filtered colour if the scale is held, colour direction if it is free."""
-    squared = colour[0] * colour[0] + colour[1] * colour[1] + colour[2] * colour[2]
-    if setting[HELD] > 0.0:
-        r, g, b = colour[0] / squared, colour[1] / squared, colour[2] / squared
-        setting[SCALE] = squared / target_norm
-    else:
-        scale = 1.0 / math.sqrt(squared)
-        r, g, b = colour[0] * scale, colour[1] * scale, colour[2] * scale
-        setting[SCALE] = 1.0 / target_norm
-    for j in range(nodes.shape[1]):
-        s = r * nodes[RED, j] + g * nodes[GREEN, j] + b * nodes[BLUE, j]
-        nodes[TARGET, j] = s * nodes[WEIGHT, j]
-
-
-@kernel
-def settle_scale(theta, nodes, setting, values_kernel, log_normalisation, values, work, report):
-    """Best scale a channel (or the held one, already in ``report``), residual, and the disagreement of two half rules.
-
-    The residual is summed as it stands, (T - rho D)^2, so that nothing cancels.
-    """
-    values_kernel(theta, nodes, log_normalisation, values, work)
-    red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
-    dd, r, g, b = real(0.0), real(0.0), real(0.0), real(0.0)
-    for j in range(nodes.shape[1]):
-        wd = weight[j] * values[j]
-        dd += wd * values[j]
-        r += wd * red[j]
-        g += wd * green[j]
-        b += wd * blue[j]
-    if not setting[HELD] > 0.0:
-        ok = dd > 0.0
-        report[RED_SCALE] = max(r / dd, 0.0) if ok else 0.0
-        report[GREEN_SCALE] = max(g / dd, 0.0) if ok else 0.0
-        report[BLUE_SCALE] = max(b / dd, 0.0) if ok else 0.0
-    rho_r, rho_g, rho_b = real(report[RED_SCALE]), real(report[GREEN_SCALE]), real(report[BLUE_SCALE])
-    total, alternating = real(0.0), real(0.0)
-    for j in range(nodes.shape[1]):
-        d_r, d_g, d_b = red[j] - rho_r * values[j], green[j] - rho_g * values[j], blue[j] - rho_b * values[j]
-        term = weight[j] * (d_r * d_r + d_g * d_g + d_b * d_b)
-        total += term
-        alternating += term * real(1 - 2 * (j & 1))
-    report[RESIDUAL] = total / report[TARGET_NORM]
-    report[DISAGREEMENT] = abs(alternating) / report[TARGET_NORM]
-
-
-@kernel
 def fit_texel(
     base, strata, column, row, search, scratch, rules,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
@@ -199,10 +154,13 @@ def fit_texel(
     """Fit one texel: its answer is left in ``scratch.theta``, the rest in ``scratch.report``; returns a status.
 
     Rules go from few nodes to many. A texel moves on where the two halves of a rule disagree by more than
-    ``search.trusted`` of the residual. ``scratch.best`` (6,) receives the closed-form start, to fall back on.
+    ``search.trusted`` of the residual, or where its nodes do not see the lobe that was found; that lobe then draws
+    nodes of its own. ``scratch.best`` (6,) receives the closed-form start, to fall back on.
     """
     lobes, theta, report = scratch.lobes, scratch.theta, scratch.report
-    count, spread = gather_lobes(base, strata, search.step, column, row, lobes, scratch.moment)
+    count, spread = gather_lobes(
+        base, strata, search.step, column, row, lobes[: lobes.shape[0] - GUARDS], scratch.moment
+    )
     red, green, blue, some = normalise_mixture(lobes, count)
     isotropic = search.free & FREE_ANISOTROPY == 0
     flat = closed_forms(lobes, count, base.isotropic, scratch.starts, isotropic)
@@ -227,28 +185,31 @@ def fit_texel(
     start = scratch.starts[LEAN]
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
-    tier, status = 0, FALLBACK
-    doubtful = True
-    if count <= search.crowd * strata.x.size * strata.y.size:
+    tier = 0 if count <= search.crowd * strata.x.size * strata.y.size else 1
+    guards = 0
+    while True:
         status = fit_by_rule(
-            base, lobes, count, lobes_isotropic, some, scratch, rules[0], search, 0,
+            base, lobes, count, lobes_isotropic, some, scratch, rules[tier], search, min(tier, 1),
             tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
         )  # fmt: skip
+        hidden = abs(report[COVERAGE] - 1.0) > _HIDDEN
         doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + search.negligible
-    if doubtful:
-        tier = 1
-        status = fit_by_rule(
-            base, lobes, count, lobes_isotropic, some, scratch, rules[1], search, 1,
-            tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
-        )  # fmt: skip
-        if report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + search.negligible:
-            tier = 2
-            status = fit_by_rule(
-                base, lobes, count, lobes_isotropic, some, scratch, rules[2], search, 1,
-                tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
-            )  # fmt: skip
+        if hidden and guards < GUARDS:
+            if lobes_isotropic:
+                widen_lobes(lobes, count, True)
+                lobes_isotropic = False
+            add_guard(lobes, count, theta)
+            count += 1
+            guards += 1
+        elif not doubtful or tier == len(rules) - 1:
+            break
+        tier = min(tier + 1, len(rules) - 1)
     if status == CONVERGED and tier > 0:
         status = REFINED
+    if hidden:
+        # Still out of sight of its nodes: nothing that they say of it counts.
+        status = FALLBACK
+        fall_back(scratch, rules[tier], search, values_kernel, log_normalisation)
     if not some:
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         return NO_SPECULAR
@@ -257,6 +218,20 @@ def fit_texel(
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         report[RESIDUAL] = 1.0
     return status
+
+
+@kernel
+def fall_back(scratch, rule, search, values_kernel, log_normalisation):
+    """The closed-form start with the filtered colour, and its residual on the nodes of a rule."""
+    theta, setting, report = scratch.theta, scratch.setting, scratch.report
+    for p in range(PARAMETERS):
+        theta[p] = scratch.best[p]
+    for k in range(3):
+        report[k] = report[FILTERED + k]
+    setting[HELD] = 1.0
+    settle_scale(
+        theta, rule.nodes, setting, values_kernel, log_normalisation, rule.values, search.exponent, scratch.work, report
+    )
 
 
 @kernel
@@ -294,7 +269,7 @@ def fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, l
     status = search_from_starts(scratch, nodes, search, follow, moments_kernel, log_normalisation)
     report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = colour[0], colour[1], colour[2]
     clamp_to_domain(theta, search)
-    settle_scale(theta, nodes, setting, values_kernel, log_normalisation, rule.values, work, report)
+    settle_scale(theta, nodes, setting, values_kernel, log_normalisation, rule.values, search.exponent, work, report)
     if not search.held:
         # The best scale's colour may differ from the mean colour that the target was aimed with: aim again.
         r, g, b = report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE]
@@ -310,7 +285,9 @@ def fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, l
             )  # fmt: skip
             report[EVALUATIONS] += evaluations + 1
             clamp_to_domain(theta, search)
-            settle_scale(theta, nodes, setting, values_kernel, log_normalisation, rule.values, work, report)
+            settle_scale(
+                theta, nodes, setting, values_kernel, log_normalisation, rule.values, search.exponent, work, report
+            )
     if not math.isfinite(report[RESIDUAL]):
         report[RESIDUAL] = 1.0
         return FALLBACK

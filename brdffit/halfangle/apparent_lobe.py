@@ -23,6 +23,10 @@ from brdffit.svbrdf import Svbrdf
 
 # Samples of one stratum and axis at most: a mirror of alpha 0.002 beside a wall wants more than anyone can pay.
 _MOST_CUTS = 16
+# A footprint that asks for more samples than there is room for is gathered again with a longer step.
+_STEP_RETRIES, _STEP_GROWTH = 3, 1.1
+# Share of the nodes that a guard draws.
+_GUARD_SHARE = 0.25
 
 
 class Base(NamedTuple):
@@ -139,6 +143,23 @@ def _index(i, size, tile):
 def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
     """Fill ``lobes`` with the footprint of texel (column, row); returns (how many, mean relative spread).
 
+    ``step`` is how many lobe widths the normal may turn from one sample to the next. Where that asks for more samples
+    than ``lobes`` has room for (one row is left for the defensive lobe), all of the footprint is sampled with a longer
+    step: were the room given to whoever comes first, one side of the footprint would be sharp and the other blurred.
+    """
+    room = lobes.shape[0] - 1
+    for _ in range(_STEP_RETRIES):
+        count, spread, wanted = _gather(base, strata, step, column, row, lobes, diffuse_moment)
+        if wanted <= room:
+            break
+        step *= _STEP_GROWTH * math.sqrt(wanted / room)
+    return count, spread
+
+
+@kernel
+def _gather(base, strata, step, column, row, lobes, diffuse_moment):
+    """``gather_lobes`` for one step; returns also how many samples it asks for.
+
     SPECULAR columns hold filter weight times colour, MIXTURE the filter weight alone (they sum to 1).
     ``diffuse_moment`` (9,) receives sum_i w_i d_ic n_i as (channel, axis).
 
@@ -160,7 +181,7 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
     patch = lobes[lobes.shape[0] - 1]
     diffuse_moment[:] = 0.0
     mean_spread = 0.0
-    count = 0
+    count, wanted = 0, 0
     left = strata.x.size * strata.y.size
     for gy in range(strata.y.size):
         for gx in range(strata.x.size):
@@ -178,6 +199,7 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
                 patch[k], patch[3 + k] = base.normal[j0, i0, k], base.normal[j0, i1, k]
                 patch[6 + k], patch[9 + k] = base.normal[j1, i0, k], base.normal[j1, i1, k]
             cuts_x, cuts_y = 1, 1
+            wanted += 1
             spreads = False
             if cut:
                 edge_x = size_x * size_x * max(_distance(patch, 0, 3), _distance(patch, 6, 9))
@@ -188,6 +210,7 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
                     cuts_x = min(math.ceil(math.sqrt(edge_x / narrow) / step), _MOST_CUTS)
                     cuts_y = min(math.ceil(math.sqrt(edge_y / narrow) / step), _MOST_CUTS)
                     cuts_x, cuts_y = max(cuts_x, 1), max(cuts_y, 1)
+                    wanted += cuts_x * cuts_y - 1
                     room = lobes.shape[0] - 1 - count - left
                     while cuts_x * cuts_y > room:
                         if cuts_x > cuts_y:
@@ -238,7 +261,7 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
                             diffuse_moment[3 * k + 1] += d * n1
                             diffuse_moment[3 * k + 2] += d * n2
                     count += 1
-    return count, mean_spread
+    return count, mean_spread, wanted
 
 
 @inline
@@ -331,6 +354,24 @@ def add_defensive_lobe(lobes, count, share, m_x, m_y, a, b, c):
     lobes[count, 0], lobes[count, 1], lobes[count, 2] = -m_x * inverse, -m_y * inverse, inverse
     lobes[count, LOG_TENSOR], lobes[count, LOG_TENSOR + 1], lobes[count, LOG_TENSOR + 2] = a, b, c
     lobes[count, MIXTURE] = share
+
+
+@kernel
+def add_guard(lobes, count, theta):
+    """Insert the lobe ``theta`` (6,) before the defensive one, without colour: it draws nodes and adds nothing.
+
+    The tensors of ``lobes`` must be full ones. It takes the share of the defensive lobe, of all the others alike.
+    """
+    lobes[count + 1, :] = lobes[count]
+    lobes[count, :] = 0.0
+    inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
+    lobes[count, 0], lobes[count, 1], lobes[count, 2] = -theta[0] * inverse, -theta[1] * inverse, inverse
+    for k in range(3):
+        lobes[count, LOG_TENSOR + k] = theta[2 + k]
+    lobes[count, SHAPE] = lobes[0, SHAPE]
+    for i in range(count + 2):
+        lobes[i, MIXTURE] *= 1.0 - _GUARD_SHARE
+    lobes[count, MIXTURE] = _GUARD_SHARE
 
 
 @kernel

@@ -1,0 +1,109 @@
+"""The fit of some texels of a level alone, and their measure: for benchmarks, trade-offs and plans."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.fitting.batch import ModelKernels, Output, fit_texels, make_output, model_kernels
+from brdffit.fitting.method import level_rules, search_settings
+from brdffit.fitting.presets import Quality, get_quality
+from brdffit.footprint import get_pixel_filter
+from brdffit.halfangle.apparent_lobe import Base, base_of
+from brdffit.halfangle.density import DENSITY_EXPONENTS
+from brdffit.halfangle.measure import DENSE_NODES, DENSE_SAMPLES, Measured, measure_lobes
+from brdffit.methods import BakeOptions
+from brdffit.models import Model, get_model
+from brdffit.svbrdf import Svbrdf, level_sizes
+
+#: Pieces that texels are dealt out in, per thread.
+_PIECES = 4
+
+
+class Lobes(NamedTuple):
+    """theta (n, 6) and scale (n, 3), float64, of one lobe a texel."""
+
+    theta: NDArray
+    scale: NDArray
+
+
+class LevelSample:
+    """Texels (columns[i], rows[i]) of one level of a base: fitted as in a whole bake, measured against the truth.
+
+    Args:
+        svbrdf: the base.
+        mip_level: the level.
+        columns, rows: (n,) int64.
+        options: of the bake; ``quality`` and ``specular`` may be given anew for each fit.
+        threads: worker threads; None takes all cores.
+    """
+
+    def __init__(
+        self, svbrdf: Svbrdf, mip_level: int, columns: NDArray, rows: NDArray, options: BakeOptions | None = None,
+        *, base: Base | None = None, threads: int | None = None,
+    ) -> None:  # fmt: skip
+        self.options = options or BakeOptions()
+        self.mip_level, self.columns, self.rows, self.threads = mip_level, columns, rows, threads or os.cpu_count() or 1
+        self.source: Model = get_model(svbrdf.model)
+        self.target: Model = get_model(self.options.model)
+        self.base = base_of(svbrdf, self.source.default_shape) if base is None else base
+        self.base_size, self.size = svbrdf.size, level_sizes(svbrdf.size, mip_level + 1)[mip_level]
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def kernels(self, float_width: int = 32) -> ModelKernels:
+        """Kernels of the base's and the level's model."""
+        return model_kernels(self.source.name, self.target.name, float_width)
+
+    def fit(
+        self, options: BakeOptions | None = None, quality: Quality | None = None, float_width: int = 32
+    ) -> tuple[Lobes, Output]:
+        """The lobes of these texels, and all that the fit says of them. ``quality`` overrides the named preset."""
+        options = options or self.options
+        chosen = quality or get_quality(options.quality)
+        pixel_filter = get_pixel_filter(options.pixel_filter)
+        rules = level_rules(pixel_filter, self.base_size, self.size, self.mip_level, chosen)
+        search = search_settings(options, chosen, self.base, self.source, self.target)
+        output, kernels = make_output(len(self)), self.kernels(float_width)
+
+        def work(part: slice) -> None:
+            own = Output(*(array[part] for array in output))
+            fit_texels(self.base, rules, self.columns[part], self.rows[part], search, own, kernels, float_width)
+
+        self._in_parts(work)
+        normal = output.normal.astype(np.float64)
+        theta = np.zeros((len(self), 6))
+        theta[:, 0:2] = -normal[:, 0:2] / np.maximum(normal[:, 2:3], 1e-3)
+        theta[:, 2:5], theta[:, 5] = output.log_roughness, output.shape
+        return Lobes(theta, output.specular.astype(np.float64)), output
+
+    def measure(
+        self, versions: list[Lobes], nodes: int = DENSE_NODES, samples: tuple[int, int] = DENSE_SAMPLES
+    ) -> Measured:
+        """Error and energy (M, n) of M versions, all against one table a texel."""
+        theta, scale = (np.stack([pair[k] for pair in versions]) for k in range(2))
+        error, energy = np.zeros(theta.shape[:2]), np.zeros(theta.shape[:2])
+
+        def work(part: slice) -> None:
+            error[:, part], energy[:, part] = measure_lobes(
+                self.base, self.base_size, self.size, theta[:, part].copy(), scale[:, part].copy(), self.columns[part],
+                self.rows[part], pixel_filter=self.options.pixel_filter,
+                exponent=DENSITY_EXPONENTS[self.options.density], kernels=self.kernels(), nodes=nodes, samples=samples,
+            )  # fmt: skip
+
+        self._in_parts(work)
+        return Measured(error, energy)
+
+    def _in_parts(self, work: Callable[[slice], None]) -> None:
+        """On threads, texels dealt out in turn (the loops release the GIL); one alone first, for it may compile."""
+        work(slice(0, 1))
+        with ThreadPoolExecutor(self.threads) as pool:
+            bounds = np.linspace(1, len(self), _PIECES * self.threads + 1).astype(int)
+            parts = [slice(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if b > a]
+            list(pool.map(work, parts))

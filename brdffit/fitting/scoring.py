@@ -1,0 +1,111 @@
+"""What a full table says of a lobe: how a search is aimed, the best scale and residual, and whether to believe it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from brdffit._jit import kernel
+from brdffit.halfangle.density import half_angle_density
+from brdffit.halfangle.frame import lobe_frame
+from brdffit.halfangle.objective import HELD, SCALE, TARGET
+from brdffit.halfangle.quadrature import BLUE, GREEN, H_X, H_Y, H_Z, RED, WEIGHT
+
+real = np.float32
+
+# What a fit reports of itself, besides its parameters.
+(
+    RED_SCALE, GREEN_SCALE, BLUE_SCALE, RESIDUAL, DISAGREEMENT, COVERAGE, EVALUATIONS, TARGET_NORM, FILTERED
+) = range(9)  # fmt: skip
+# The filtered colour, (red, green, blue) from FILTERED on; 0 where a negative filter weight makes it negative.
+REPORT = FILTERED + 3
+
+
+@kernel
+def target_norm(nodes):
+    """<T,T> over all channels."""
+    red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
+    norm = real(0.0)
+    for j in range(nodes.shape[1]):
+        norm += weight[j] * (red[j] * red[j] + green[j] * green[j] + blue[j] * blue[j])
+    return float(norm)
+
+
+@kernel
+def aim(nodes, colour, target_norm, setting):
+    """Set the scalar target for this colour: filtered colour if the scale is held, colour direction if it is free."""
+    squared = colour[0] * colour[0] + colour[1] * colour[1] + colour[2] * colour[2]
+    if setting[HELD] > 0.0:
+        r, g, b = colour[0] / squared, colour[1] / squared, colour[2] / squared
+        setting[SCALE] = squared / target_norm
+    else:
+        scale = 1.0 / math.sqrt(squared)
+        r, g, b = colour[0] * scale, colour[1] * scale, colour[2] * scale
+        setting[SCALE] = 1.0 / target_norm
+    for j in range(nodes.shape[1]):
+        s = r * nodes[RED, j] + g * nodes[GREEN, j] + b * nodes[BLUE, j]
+        nodes[TARGET, j] = s * nodes[WEIGHT, j]
+
+
+@kernel
+def settle_scale(theta, nodes, setting, values_kernel, log_normalisation, values, exponent, work, report):
+    """Best scale a channel (or the held one, already in ``report``), residual, and the disagreement of two half rules.
+
+    The residual is summed as it stands, (T - rho D)^2, so that nothing cancels.
+    """
+    values_kernel(theta, nodes, log_normalisation, values, work)
+    red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
+    dd, r, g, b = real(0.0), real(0.0), real(0.0), real(0.0)
+    for j in range(nodes.shape[1]):
+        wd = weight[j] * values[j]
+        dd += wd * values[j]
+        r += wd * red[j]
+        g += wd * green[j]
+        b += wd * blue[j]
+    if not setting[HELD] > 0.0:
+        ok = dd > 0.0
+        report[RED_SCALE] = max(r / dd, 0.0) if ok else 0.0
+        report[GREEN_SCALE] = max(g / dd, 0.0) if ok else 0.0
+        report[BLUE_SCALE] = max(b / dd, 0.0) if ok else 0.0
+    rho_r, rho_g, rho_b = real(report[RED_SCALE]), real(report[GREEN_SCALE]), real(report[BLUE_SCALE])
+    total, alternating = real(0.0), real(0.0)
+    for j in range(nodes.shape[1]):
+        d_r, d_g, d_b = red[j] - rho_r * values[j], green[j] - rho_g * values[j], blue[j] - rho_b * values[j]
+        term = weight[j] * (d_r * d_r + d_g * d_g + d_b * d_b)
+        total += term
+        alternating += term * real(1 - 2 * (j & 1))
+    report[RESIDUAL] = total / report[TARGET_NORM]
+    report[DISAGREEMENT] = abs(alternating) / report[TARGET_NORM]
+    report[COVERAGE] = coverage(theta, nodes, exponent, work)
+
+
+@kernel
+def coverage(theta, nodes, exponent, frame):
+    """A known integral over the lobe's peak, as the nodes see it; 1 where they stand close enough.
+
+    Far from 1, what the nodes say of <D,D> is noise, and a search that lowers <D,D> by leaving the nodes behind would
+    find a hole instead of a lobe. The integral is that of G^2 (n.h)^5, G the GGX lobe of the same normal and tensor
+    whatever the model: with slopes t scaled to the tensor, G = (n.h)^-4 (1 + t^2)^-2 / (pi sqrt(det Sigma)) and
+    dh = (n.h)^3 sqrt(det Sigma) dt, so it is 1 / (3 pi sqrt(det Sigma)). (The integral of G (n.h), 1, would not do:
+    half of it is tail, which nodes far away see well enough.) A node stands for the solid angle W / w(h). ``frame``
+    (9,) is scratch.
+    """
+    inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
+    l1, l2, _, _ = lobe_frame(-theta[0] * inverse, -theta[1] * inverse, inverse, theta[2], theta[3], theta[4], frame)
+    u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
+    v_x, v_y, v_z = real(frame[3]), real(frame[4]), real(frame[5])
+    n_x, n_y, n_z = real(frame[6]), real(frame[7]), real(frame[8])
+    h_x, h_y, h_z, weight = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT]
+    cubic = exponent == 3
+    seen = real(0.0)
+    for j in range(nodes.shape[1]):
+        u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
+        v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
+        cos = max(n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j], real(0.0))
+        C = cos * cos
+        g = real(1.0) / (u * u + v * v + C)
+        g *= g
+        up = max(h_z[j], real(0.02))  # no weight below the horizon
+        seen += weight[j] / (up * up * up if cubic else up) * g * g * C * C * cos
+    return 3.0 / math.pi * math.exp(-0.5 * (l1 + l2)) * seen / half_angle_density(1.0, exponent)
