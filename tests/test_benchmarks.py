@@ -13,11 +13,10 @@ sys.path.insert(0, str(ROOT))  # the benchmarks are not installed
 
 from benchmarks import integrals  # noqa: E402
 from benchmarks.__main__ import main  # noqa: E402
-from benchmarks.accuracy import CLOSED_FORMS, compare_set, fit_sample, targets  # noqa: E402
+from benchmarks.accuracy import CLOSED_FORMS, compare_set, targets  # noqa: E402
 from benchmarks.materials import NAMED, accuracy_sets, load_procedural, tiled, write_tiled  # noqa: E402
 from benchmarks.record import Section, Target, as_markdown, machine, table  # noqa: E402
-from brdffit.fitting.batch import model_kernels  # noqa: E402
-from brdffit.halfangle.apparent_lobe import base_of  # noqa: E402
+from brdffit.fitting.sampling import LevelSample  # noqa: E402
 from brdffit.halfangle.measure import lobe_parameters  # noqa: E402
 from brdffit.methods import BakeOptions, get_method  # noqa: E402
 from brdffit.textures.image_io import read_image  # noqa: E402
@@ -48,8 +47,7 @@ def test_a_sample_is_fitted_as_in_a_whole_bake(hammered):
     columns, rows = np.array([0, 5, 7, 3]), np.array([6, 0, 7, 2])
     options = BakeOptions(levels=3)
     whole = get_method("bfgs").bake(hammered, options)[2].svbrdf
-    base, kernels = base_of(hammered), model_kernels("ggx", "ggx")
-    theta, scale = fit_sample(base, hammered.size, (8, 8), 2, columns, rows, options, kernels)
+    (theta, scale), _ = LevelSample(hammered, 2, columns, rows, options).fit()
     assert np.array_equal(scale, whole.specular[rows, columns])
     assert theta == pytest.approx(lobe_parameters(whole, columns, rows), abs=1e-6)
 
