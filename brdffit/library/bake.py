@@ -10,6 +10,7 @@ import dataclasses
 import os
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from brdffit.library.grouping import named_group
 from brdffit.library.state import build_request, code_digest, input_files
 from brdffit.library.task import Outcome, Task
 from brdffit.library.thumbnail import make_thumbnail
-from brdffit.methods import Method, get_method
+from brdffit.methods import BakeOptions, Method, get_method
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures import texture_set as sets
 from brdffit.textures.conversion import to_svbrdf
@@ -32,7 +33,20 @@ from brdffit.textures.manifest import build_manifest
 from brdffit.textures.orientation import settle_normal_y
 from brdffit.textures.texture_set import Map, TextureSet, read_texture_set
 
-_methods: dict[str, Method] = {}
+
+@cache
+def _method(name: str) -> Method:
+    # Looked up once a worker: entry points are searched in every package that is installed.
+    return get_method(name)
+
+
+def _options(task: Task) -> BakeOptions:
+    return _options_of(task.preset, tuple(sorted(task.options.items())))
+
+
+@cache
+def _options_of(preset: str, given: tuple[tuple[str, Any], ...]) -> BakeOptions:
+    return baking.bake_options(preset, dict(given))
 
 
 @dataclass
@@ -69,11 +83,13 @@ def read_set(task: Task) -> ReadSet:
     before = _stamps(files)
     digests = {name: file_sha256(path) for name, path in files.items()}
     texture_set = open_set(task)
-    svbrdf = to_svbrdf(texture_set, min_roughness=baking.bake_options(task.preset, task.options).min_roughness)
+    svbrdf = to_svbrdf(texture_set, min_roughness=_options(task).min_roughness)
     if _stamps(input_files(task)) != before:
         raise InputError(f"The files of '{task.found.source}' changed while they were read: run again for this set.")
     by_path = {path: digests[name] for name, path in files.items()}
-    return ReadSet(texture_set, svbrdf, build_request(task, digests), by_path, time.perf_counter() - start)
+    return ReadSet(
+        texture_set, svbrdf, build_request(task, _options(task), digests), by_path, time.perf_counter() - start
+    )
 
 
 def open_set(task: Task) -> TextureSet:
@@ -123,11 +139,9 @@ def bake_set(task: Task, read: ReadSet, threads: int) -> Outcome:
         seconds[phase], clock = now - clock, now
 
     svbrdf = read.svbrdf
-    options = dataclasses.replace(baking.bake_options(task.preset, task.options), threads=threads)
-    if task.method not in _methods:
-        _methods[task.method] = get_method(task.method)
+    options = dataclasses.replace(_options(task), threads=threads)
     with store.writing(task, svbrdf.size) as write:
-        pyramid = _methods[task.method].bake(svbrdf, options)
+        pyramid = _method(task.method).bake(svbrdf, options)
         lap("fitting")
         measured = baking.assess(svbrdf, pyramid)
         lap("measuring")
@@ -155,7 +169,7 @@ def warm_up(methods_and_models: set[tuple[str, str]]) -> None:
     flat = np.zeros((4, 4, 3), np.float32)
     svbrdf = Svbrdf(flat + np.array([0, 0, 1], np.float32), flat - 3.0, flat + 0.5, flat + 0.5, height=flat[..., 0])
     for method, model in sorted(methods_and_models):
-        options = baking.BakeOptions(model=model, quality="draft", threads=1)
+        options = BakeOptions(model=model, quality="draft", threads=1)
         pyramid = get_method(method).bake(svbrdf, options)
         baking.assess(svbrdf, pyramid)
         make_thumbnail(svbrdf, pyramid)

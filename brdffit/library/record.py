@@ -26,7 +26,7 @@ def write_record(
     Args:
         store: the output.
         tasks: every set of the library.
-        chosen: the sets that this run looked at; of others the earlier failures stand, until they are baked.
+        chosen: the sets that this run looked at; of others the earlier failures stand.
         failures: sentences of this run, by key.
 
     Returns:
@@ -46,7 +46,7 @@ def write_record(
         manifest = manifest_of(store, key)
         if key not in chosen and key in before:
             failed[key] = before[key]
-        if manifest is None or "request" not in manifest:
+        if key in failed or manifest is None or "request" not in manifest:
             continue
         sets[key] = _entry(manifest)
         phases[key] = manifest["volatile"].get("phases", {})

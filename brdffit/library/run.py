@@ -161,8 +161,9 @@ def run_library(
             # Also of a run that is interrupted: both are made from what lies in the folders.
             seconds = time.perf_counter() - start
             store.sweep()
-            record = write_record(store, tasks, chosen, failures)
-            write_page(store, record, {key: str(task.found.source) for key, task in tasks.items()})
+            with store.alone():
+                record = write_record(store, tasks, chosen, failures)
+                write_page(store, record, {key: str(task.found.source) for key, task in tasks.items()})
     return Summary(plan, outcomes, failures, seconds)
 
 

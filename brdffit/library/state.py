@@ -22,7 +22,7 @@ from brdffit.baking import bake_options
 from brdffit.errors import InputError
 from brdffit.library.discovery import material_file, references
 from brdffit.library.task import Task
-from brdffit.methods import get_method
+from brdffit.methods import BakeOptions, get_method
 from brdffit.textures.image_io import IMAGE_SUFFIXES, file_sha256
 from brdffit.textures.manifest import FORMAT, versions
 from brdffit.textures.materials import SUFFIXES
@@ -76,30 +76,21 @@ def input_files(task: Task) -> dict[str, Path]:
     return {Path(os.path.relpath(path, folder)).as_posix(): path for path in paths}
 
 
-def build_request(task: Task, digests: Mapping[str, str]) -> dict[str, Any]:
+def build_request(task: Task, options: BakeOptions, digests: Mapping[str, str]) -> dict[str, Any]:
     """The request of a task whose files have these digests."""
-    options = dataclasses.asdict(bake_options(task.preset, task.options))
-    del options["threads"]
+    resolved = dataclasses.asdict(options)
+    del resolved["threads"]
     return {
         "name": task.found.name,
         "reading": task.reading,
         "method": task.method,
         "preset": task.preset,
         "bits": task.bits,
-        "options": options,
+        "options": resolved,
         "grouped": task.found.files is not None,
         "files": dict(sorted(digests.items())),
         "code": task.code,
     }
-
-
-def current_request(task: Task) -> dict[str, Any]:
-    """The request that would be made now.
-
-    Raises:
-        InputError: when an input cannot be read.
-    """
-    return build_request(task, {name: file_sha256(path) for name, path in input_files(task).items()})
 
 
 def reason_to_bake(task: Task, manifest: Mapping[str, Any] | None, size_of: Callable[[str], int | None]) -> str | None:
@@ -120,11 +111,14 @@ def reason_to_bake(task: Task, manifest: Mapping[str, Any] | None, size_of: Call
             return "incomplete"
         # Cheap first: what is told without reading an input.
         paths = input_files(task)
-        now = json.loads(json.dumps(build_request(task, dict.fromkeys(paths, ""))))
+        now = json.loads(
+            json.dumps(build_request(task, bake_options(task.preset, task.options), dict.fromkeys(paths, "")))
+        )
+        apart = {"files": None, "code": None}
+        if was | apart != now | apart:
+            return "other options"
         if was["code"] != now["code"]:
             return "another version"
-        if {**was, "files": None} != {**now, "files": None}:
-            return "other options"
         if was["files"].keys() != paths.keys() or any(
             file_sha256(path) != was["files"][name] for name, path in paths.items()
         ):

@@ -22,6 +22,11 @@ from brdffit.methods import Pyramid
 from brdffit.textures import atomic, export
 from brdffit.textures.manifest import FILE_NAME
 
+try:
+    import fcntl
+except ImportError:  # Windows has none
+    fcntl = None  # type: ignore[assignment]
+
 Write = Callable[[Pyramid, dict[str, Any], NDArray], None]
 
 
@@ -39,6 +44,9 @@ class Store(Protocol):
 
     def writing(self, task: Task, size: tuple[int, int]) -> contextlib.AbstractContextManager[Write]:
         """See that the set can be written, then give what writes it."""
+
+    def alone(self) -> contextlib.AbstractContextManager[None]:
+        """One run at a time, where the file system has locks: to read what is there, and write it anew."""
 
     def sweep(self) -> None:
         """Remove what killed runs left."""
@@ -112,6 +120,22 @@ class _Folder:
             )  # fmt: skip
 
         yield write
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            handle = os.open(self.root, os.O_RDONLY) if fcntl is not None else None
+        except OSError as error:
+            raise OutputError(f"'{self.root}' cannot be written: {error.strerror}.") from error
+        try:
+            if handle is not None:
+                with contextlib.suppress(OSError):  # some network file systems have no locks
+                    fcntl.flock(handle, fcntl.LOCK_EX)
+            yield
+        finally:
+            if handle is not None:
+                os.close(handle)
 
     def sweep(self) -> None:
         """Only names of our own that no living run holds; an old set whose replacement never came is given back."""
@@ -196,6 +220,9 @@ class _Remote:
                     raise OutputError(f"'{self.address}/{task.key}' could not be written: {error}.") from error
 
             yield write
+
+    def alone(self) -> contextlib.AbstractContextManager[None]:
+        return contextlib.nullcontext()
 
     def sweep(self) -> None:
         """Nothing lies about: what is not whole has no manifest and is replaced."""

@@ -7,14 +7,16 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.methods import BakeOptions, Pyramid, get_method
+from brdffit.methods import BakeOptions, Method, Pyramid, get_method
 from brdffit.render import shading
 from brdffit.roughness import tensor_from_log
 from brdffit.svbrdf import Svbrdf
 
 #: Diameter of a ball in pixels, the level that it shows where there are so many, and the room between two.
 BALL, LEVEL, _GAP = 80, 3, 8
-_BACKGROUND, _AMBIENT = 0.012, 0.12
+_AMBIENT = 0.12
+#: The ground of the page.
+_BACKGROUND = np.array([0.0072, 0.0082, 0.0105], np.float32)
 #: Direction and irradiance of each light, and the alpha^2 by which its size widens every highlight.
 _LIGHTS = (((-0.55, 0.60, 0.58), 3.0), ((0.80, -0.10, 0.40), 0.9))
 _LIGHT_SIZE = np.array([0.08**2, 0.08**2, 0.0], np.float32)
@@ -29,14 +31,20 @@ def make_thumbnail(base: Svbrdf, pyramid: Pyramid) -> NDArray:
     side = BALL << mip_level
     shown = base.replace(**{name: array[:side, :side] for name, array in base.arrays().items()})
     options = BakeOptions(pixel_filter=pyramid.options.pixel_filter, levels=mip_level + 1, model=base.model)
-    before = get_method("naive").bake(shown, options)[mip_level].svbrdf
+    before = _naive().bake(shown, options)[mip_level].svbrdf
     balls = [_lit(level) for level in (before, pyramid[mip_level].svbrdf)]
     exposure = 0.30 / max(float(np.mean(balls)), 1e-6)
-    picture = np.full((BALL, 2 * BALL + _GAP, 3), _BACKGROUND, np.float32)
+    picture = np.empty((BALL, 2 * BALL + _GAP, 3), np.float32)
+    picture[:] = _BACKGROUND
     for lit, left in zip(balls, (0, BALL + _GAP), strict=True):
         coverage = _ball()[0][..., None]
         picture[:, left : left + BALL] = lit * exposure * coverage + _BACKGROUND * (1.0 - coverage)
     return _displayed(picture)
+
+
+@cache
+def _naive() -> Method:
+    return get_method("naive")
 
 
 @cache

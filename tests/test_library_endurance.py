@@ -1,0 +1,189 @@
+"""What a library must survive: kills at random moments, a cluster that loses workers, a thousand sets."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from library_support import contents, make_library, write_maps
+
+from brdffit.errors import InputError
+from brdffit.library.run import run_library
+
+ROOT = Path(__file__).parent.parent
+QUICK = {"quality": "draft", "levels": 2}
+OPTIONS = ["--quality", "draft", "--levels", "2"]
+KILLS = 20
+
+
+def start(root, output, *options):
+    program = "import sys; from brdffit.cli import main; sys.argv[0] = 'brdffit'; main()"
+    command = [sys.executable, "-c", program, "library", root, "-o", output, *OPTIONS, *options]
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{Path(__file__).parent}"}
+    return subprocess.Popen(
+        [str(part) for part in command], env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+
+
+def workers_of(process: int) -> list[int]:
+    """Worker processes, without the tracker of resources that Python starts beside them."""
+    found = []
+    for child in Path(f"/proc/{process}/task/{process}/children").read_text().split():
+        try:
+            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
+                found.append(int(child))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="workers are found by /proc")
+def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
+    """SIGKILL of the run, and of a worker, at random moments, KILLS times each; then an undisturbed end."""
+    make_library(tmp_path / "in", count=40, size=16)
+    run_library(tmp_path / "in", tmp_path / "undisturbed", **QUICK)
+    moments, output = random.Random(6), tmp_path / "out"
+    killed = {"run": 0, "worker": 0}
+    progress = []
+    while killed["run"] < KILLS:
+        process = start(tmp_path / "in", output, "--force")
+        try:
+            while not workers_of(process.pid) and process.poll() is None:
+                time.sleep(0.02)
+            for _ in range(moments.randrange(3)):
+                time.sleep(moments.uniform(0.0, 1.5))
+                workers = workers_of(process.pid) if process.poll() is None else []
+                if workers:
+                    os.kill(moments.choice(workers), signal.SIGKILL)
+                    killed["worker"] += 1
+            time.sleep(moments.uniform(0.0, 2.0))
+            if process.poll() is None:
+                process.kill()
+                killed["run"] += 1
+        finally:
+            process.kill()
+            process.communicate()
+        progress.append(len([path for path in output.rglob("manifest.json") if "/." not in str(path)]))
+    assert killed["worker"] >= KILLS // 2
+    summary = run_library(tmp_path / "in", output, **QUICK)
+    assert not summary.failures
+    assert contents(output) == contents(tmp_path / "undisturbed")
+    assert not [path for path in output.rglob("*") if path.name.startswith(".")]
+    assert max(progress) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="workers are found by /proc")
+def test_a_run_gets_on_though_its_workers_are_killed(tmp_path):
+    """One run, whose workers die every second: it ends by itself, and all is baked."""
+    make_library(tmp_path / "in", count=30, size=16)
+    run_library(tmp_path / "in", tmp_path / "undisturbed", **QUICK)
+    process = start(tmp_path / "in", tmp_path / "out")
+    killed, moments = 0, random.Random(7)
+    while process.poll() is None:
+        time.sleep(moments.uniform(0.5, 1.5))
+        workers = workers_of(process.pid) if process.poll() is None and killed < KILLS else []
+        if workers:
+            os.kill(moments.choice(workers), signal.SIGKILL)
+            killed += 1
+    said, _ = process.communicate()
+    record = json.loads((tmp_path / "out" / "library.json").read_text())
+    # Three deaths at one set are possible, if unlikely: then it is named.
+    assert killed >= 2 and process.returncode == (1 if record["failed"] else 0), said
+    assert len(record["sets"]) + len(record["failed"]) == 30
+    run_library(tmp_path / "in", tmp_path / "out", **QUICK)
+    assert contents(tmp_path / "out") == contents(tmp_path / "undisturbed")
+
+
+def test_a_scheduler_that_does_not_answer(tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    from brdffit.library import cluster
+
+    monkeypatch.setattr(cluster, "_TIMEOUT", 0.5)
+    make_library(tmp_path / "in", count=1)
+    with pytest.raises(InputError, match=r"'tcp://127.0.0.1:9' does not answer .* expected the address of a Dask"):
+        run_library(tmp_path / "in", tmp_path / "out", method="lean", levels=1, scheduler="tcp://127.0.0.1:9")
+
+
+def test_dask_is_optional(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    make_library(tmp_path / "in", count=1)
+    with pytest.raises(InputError, match=r"needs Dask, which is not installed: pip install 'brdffit\[cluster\]'"):
+        run_library(tmp_path / "in", tmp_path / "out", method="lean", levels=1, scheduler="tcp://127.0.0.1:9")
+
+
+@pytest.fixture
+def cluster():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
+    ) as started:
+        yield started
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kill", [False, True], ids=["undisturbed", "a worker killed"])
+def test_a_cluster_gives_the_same_bytes(tmp_path, cluster, kill):
+    make_library(tmp_path / "in", count=12, size=16)
+    write_maps(tmp_path / "in" / "flat", roles=("Color", "Roughness"))
+    local = run_library(tmp_path / "in", tmp_path / "local", **QUICK)
+
+    class KillOne:
+        killed = 0
+
+        def phase(self, name): ...
+        def planned(self, plan): ...
+        def finished(self, outcome, sizes):
+            if kill and not self.killed:
+                self.killed = next(iter(cluster.workers.values())).pid
+                os.kill(self.killed, signal.SIGKILL)
+
+    listener = KillOne()
+    remote = run_library(
+        tmp_path / "in", tmp_path / "out", scheduler=cluster.scheduler_address, listener=listener, **QUICK
+    )
+    assert bool(listener.killed) == kill
+    assert set(remote.failures) == set(local.failures) == {"flat"}
+    assert len(remote.outcomes) == 12
+    assert contents(tmp_path / "out") == contents(tmp_path / "local")
+
+
+@pytest.mark.slow
+def test_what_a_dask_worker_cannot_bake_is_named(tmp_path, cluster, monkeypatch):
+    """A set that kills its worker each time: Dask gives it up, the others are baked."""
+    cluster.scheduler.allowed_failures = 1
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    make_library(tmp_path / "in", count=3)
+    write_maps(tmp_path / "in" / "odd", size=9)
+    options = {"method": "library_support:DiesAlways", "levels": 1}
+    summary = run_library(tmp_path / "in", tmp_path / "out", scheduler=cluster.scheduler_address, **options)
+    assert set(summary.failures) == {"odd"} and "KilledWorker" in summary.failures["odd"]
+    assert len(summary.outcomes) == 4
+
+
+@pytest.mark.slow
+def test_many_small_sets_in_flat_memory(tmp_path):
+    """Memory of the run and of its workers does not grow with the sets that are behind them."""
+    make_library(tmp_path / "in", count=200)
+    process = start(tmp_path / "in", tmp_path / "out", "--method", "lean")
+    sizes: list[int] = []
+    while process.poll() is None:
+        try:
+            pids = [process.pid, *workers_of(process.pid)]
+            pages = [int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids]
+        except (OSError, IndexError):
+            continue
+        if len(list((tmp_path / "out").rglob("manifest.json"))) >= 40:
+            sizes.append(sum(pages) * os.sysconf("SC_PAGE_SIZE"))
+        time.sleep(0.2)
+    process.communicate()
+    assert process.returncode == 0 and len(sizes) > 5
+    assert max(sizes[len(sizes) // 2 :]) < 1.05 * max(sizes[: len(sizes) // 2])
