@@ -95,8 +95,8 @@ def landscape(svbrdf: Svbrdf, level: int, texel: tuple[int, int], *, model: str 
             error[i, j] = 1.0 + _value(problem, _moved(end, alpha, slope * direction))
     return Landscape(
         level=level, column=texel[0], row=texel[1], roughness=roughness,
-        angle=np.array([_angle(end, slope * direction) for slope in slopes]), error=np.clip(error, 0.0, None),
-        path=np.stack([alphas, [_angle(end, slope * direction) for slope in along]], axis=1),
+        angle=np.array([_angle(end, slope, direction) for slope in slopes]), error=np.clip(error, 0.0, None),
+        path=np.stack([alphas, [_angle(end, slope, direction) for slope in along]], axis=1),
         values=np.array([1.0 + _value(problem, theta) for theta in steps]),
     )  # fmt: skip
 
@@ -142,13 +142,15 @@ def _moved(end: NDArray, alpha: float, slope: NDArray) -> NDArray:
     return theta
 
 
-def _angle(end: NDArray, slope: NDArray) -> float:
-    """Degrees between the normals at the end and at another slope, negative where the slope goes the other way."""
-    one, other = (np.array([-m[0], -m[1], 1.0]) / math.sqrt(1.0 + m @ m) for m in (end[0:2], end[0:2] + slope))
-    # From the chord: the arc cosine of nearly 1 would lose small angles.
-    degrees = math.degrees(2.0 * math.asin(min(0.5 * float(np.linalg.norm(one - other)), 1.0)))
-    forward = slope[np.argmax(np.abs(slope))] >= 0.0
-    return degrees if forward else -degrees
+def _angle(end: NDArray, distance: float, direction: NDArray) -> float:
+    """Degrees between the normals at the end and at a slope so far along a direction from it; signed as the distance.
+
+    Slopes along a straight line turn the normal in one plane, so the angle grows with the distance.
+    """
+    one, other = (np.array([-m[0], -m[1], 1.0]) for m in (end[0:2], end[0:2] + distance * direction))
+    # From the cross product: the arc cosine of nearly 1 would lose small angles.
+    degrees = math.degrees(math.atan2(float(np.linalg.norm(np.cross(one, other))), float(one @ other)))
+    return math.copysign(degrees, distance)
 
 
 def _long_axis(log_tensor: NDArray) -> NDArray:
