@@ -2,16 +2,18 @@
 PYTHON ?= python3
 SET ?= data/sets/grooved-record
 OUT ?= out
+LIB ?= data/sets
 OPTIONS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install data bake compare picture test test-slow bench bench-full lint clean
+.PHONY: help install data bake library compare picture test test-slow bench bench-full lint clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make bake [SET=folder] [OUT=out] [OPTIONS=...]  bake a texture set and show the picture"
+	@echo "make library [LIB=folder] [OUT=out]             bake every texture set below a folder, with an index page"
 	@echo "make data        make the shipped texture sets in data/sets"
 	@echo "make compare     [SETS=\"folder ...\"]  every method against the reference, on the shipped sets: report/index.html"
 	@echo "make test        the tests; make test-slow runs those that take long"
@@ -43,6 +45,9 @@ bake: install $(if $(filter data/sets/%,$(SET)),data/sets/made)
 
 compare: data/sets/made
 	$(BIN)/brdffit compare $(or $(SETS),data/sets/*/) -o report $(OPTIONS)
+
+library: install $(if $(filter data/sets%,$(LIB)),data/sets/made)
+	$(BIN)/brdffit library "$(LIB)" -o "$(OUT)/library" $(OPTIONS)
 
 picture: data/sets/made
 	$(BIN)/brdffit bake data/sets/grooved-record -o out/picture

@@ -50,6 +50,15 @@ def contents(folder: Path) -> dict[str, object]:
     return found
 
 
+def whole_sets(folder: Path) -> int:
+    """How many sets are whole; folders may vanish meanwhile."""
+    found = 0
+    for _, folders, files in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        found += "manifest.json" in files
+    return found
+
+
 class _Odd:
     """A method that does as `naive`, but for a set whose base has one texel a side more than that of the others."""
 

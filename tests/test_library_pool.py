@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from library_support import make_library, write_maps
+from library_support import make_library, whole_sets, write_maps
 
 from brdffit.library import pool
 from brdffit.library.pool import BYTES_PER_TEXEL, Job, Pool
@@ -193,11 +193,7 @@ needs_proc = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="ch
 def test_no_worker_outlives_its_run_and_only_whole_sets_are_left(tmp_path, number):
     make_library(tmp_path / "in", count=60, size=16)
     process = start(tmp_path)
-
-    def whole():
-        return [path for path in (tmp_path / "out").rglob("manifest.json") if ".brdffit-" not in str(path)]
-
-    wait_for(lambda: process.poll() is not None or len(whole()) > 2)
+    wait_for(lambda: process.poll() is not None or whole_sets(tmp_path / "out") > 2)
     assert process.poll() is None, process.communicate()
     workers = children_of(process.pid)
     assert len(workers) >= 2
@@ -205,7 +201,7 @@ def test_no_worker_outlives_its_run_and_only_whole_sets_are_left(tmp_path, numbe
     process.communicate(timeout=60)
     assert process.returncode == {signal.SIGTERM: 143, signal.SIGINT: 130, signal.SIGKILL: -9}[number]
     wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers), seconds=20)
-    assert 2 < len(whole()) < 60
+    assert 2 < whole_sets(tmp_path / "out") < 60
     if number != signal.SIGKILL:  # after which the next run sweeps
         assert not list((tmp_path / "out").rglob(".*"))
         assert (tmp_path / "out" / "library.json").exists()

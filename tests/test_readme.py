@@ -42,7 +42,7 @@ def run(command, folder):
 def test_commands_were_found():
     assert len(MAKE) + len(BRDFFIT) == len(COMMANDS)
     assert {"make bake", "make test"} <= set(MAKE)
-    assert {line.split()[1] for line in BRDFFIT} == {"bake", "inspect", "methods", "models"}
+    assert {line.split()[1] for line in BRDFFIT} == {"bake", "inspect", "library", "methods", "models"}
 
 
 @pytest.mark.parametrize("command", BRDFFIT)

@@ -50,7 +50,7 @@ def run_on_cluster(scheduler: str, jobs: Sequence[Job]) -> Generator[Outcome, No
             for place, job in enumerate(largest_first)
         }
         try:
-            for future in as_completed(futures):
+            for future in as_completed(list(futures), loop=client.loop):
                 task = futures.pop(future)
                 failure = future.exception()
                 if failure is None:

@@ -45,6 +45,8 @@ class Overrides(Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=T
     levels: Annotated[int, Meta(ge=1)] | None = None
     keep_level_0: bool | None = None
     quality: Literal["draft", "standard", "fine"] | None = None
+    tolerance: Positive | None = None
+    loss: Literal["l2", "relative", "l1"] | None = None
     specular: Literal["auto", "free", "held"] | None = None
     lobe: Literal["auto", "anisotropic", "isotropic"] | None = None
     normal: Literal["free", "mean"] | None = None
