@@ -82,8 +82,10 @@ def shade_directions(block, count, view, directions, sums):
         h_x, h_y, h_z = l_x + v_x, l_y + v_y, l_z + v_z
         square = h_x * h_x + h_y * h_y + h_z * h_z
         per = real(1.0) / np.sqrt(max(square, real(1e-12)))
-        h_x, h_y, h_z = h_x * per, h_y * per, h_z * per
         x, y, z = n_x[i], n_y[i], n_z[i]
+        # Light straight behind the viewer's ray has no half vector, and nothing is reflected: any will do but (0, 0, 0).
+        some = square > real(1e-8)
+        h_x, h_y, h_z = h_x * per if some else x, h_y * per if some else y, h_z * per if some else z
         lobe, _ = reflect(
             x, y, z, i_xx[i], i_yy[i], i_xy[i], t_xx[i], t_yy[i], t_xy[i], amplitude[i], shape[i],
             h_x, h_y, h_z, l_x, l_y, l_z, v_x, v_y, v_z,

@@ -12,13 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.footprint import PixelFilter
-from brdffit.methods import one_of
 
 #: progress(done, total) in pixels.
 Progress = Callable[[int, int], None]
 
-#: Samples of a footprint: (at least, for each base texel of its area, at most).
-SAMPLES = {"draft": (64, 16, 1024), "standard": (256, 16, 4096), "fine": (1024, 256, 65536)}
+
+class Budget(NamedTuple):
+    """Samples of a footprint: at least, for each base texel of its area, at most."""
+
+    least: float
+    per_texel: float
+    most: float
+
+    def times(self, factor: float, floor: int) -> Budget:
+        """More or fewer of all, but never fewer than ``floor`` at least."""
+        least, per_texel, most = self.least * factor, self.per_texel * factor, self.most * factor
+        return Budget(max(least, floor), per_texel, max(most, floor))
+
+    @classmethod
+    def of(cls, samples: int) -> Budget:
+        """The same number for every footprint."""
+        return cls(samples, 0.0, samples)
+
 
 # A piece of work takes a fraction of a second, so that the bar moves and an interrupt is heard.
 _LEAST_PIECES = 64
@@ -63,13 +78,9 @@ def _area(place: NDArray) -> NDArray:
     return np.abs(place[:, 2] * 1.0 * place[:, 5] - place[:, 3] * 1.0 * place[:, 4])
 
 
-def sample_count(place: NDArray, samples: int | str | None, least: int = 1) -> NDArray:
+def sample_count(place: NDArray, budget: Budget) -> NDArray:
     """Strata (across, down) (G, 2) of one half of each footprint's samples."""
-    if isinstance(samples, int):
-        wanted = np.full(len(place), float(max(samples, least)))
-    else:
-        low, per_texel, most = SAMPLES[one_of("number of samples", samples or "standard", tuple(SAMPLES))]
-        wanted = np.clip(_area(place) * per_texel, max(low, least), most)
+    wanted = np.clip(_area(place) * budget.per_texel, budget.least, budget.most)
     # As many an axis as the footprint is long, rounded to powers of the square root of 2: few different rules.
     axes = place[:, 2:].reshape(-1, 2, 2)
     length = np.maximum(np.linalg.norm(axes, axis=1), 1e-9)
@@ -79,9 +90,9 @@ def sample_count(place: NDArray, samples: int | str | None, least: int = 1) -> N
     return np.maximum(np.round(2.0 ** (np.round(exact * 2.0) / 2.0)), 1).astype(np.int64)
 
 
-def equal_samples(place: NDArray, samples: int | str | None, least: int = 1) -> list[tuple[slice, tuple[int, int]]]:
+def equal_samples(place: NDArray, budget: Budget) -> list[tuple[slice, tuple[int, int]]]:
     """Runs of footprints that take the same number of samples."""
-    count = sample_count(place, samples, least)
+    count = sample_count(place, budget)
     edges = np.flatnonzero((count[1:] != count[:-1]).any(axis=1)) + 1
     bounds = [0, *edges.tolist(), len(place)]
     return [(slice(a, b), (int(count[a, 0]), int(count[a, 1]))) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]

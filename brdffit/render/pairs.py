@@ -13,12 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.footprint import get_pixel_filter
+from brdffit.methods import one_of
 from brdffit.models import get_model
 from brdffit.render import _kernels
-from brdffit.render._footprints import footprint_keys, run_in_threads, sample_count, strata_rule
+from brdffit.render._footprints import Budget, footprint_keys, run_in_threads, sample_count, strata_rule
 from brdffit.render._packing import pack_base, pair_loop, shading_kernels
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
+
+#: Samples of a footprint, by preset: pairs of directions share them, so they may be many.
+SAMPLES = {"draft": 2048, "standard": 16384, "fine": 131072}
 
 
 def pair_errors(
@@ -47,7 +51,7 @@ def pair_errors(
         seed: of the pairs; every version sees the same ones.
         terms: terms of the BRDF that are lit; radiance is of a light of irradiance 1 (facing it).
         pixel_filter: of the truth.
-        samples: of a footprint, as in ``render_halves``.
+        samples: of a footprint: "draft", "standard", "fine" or their number.
         threads: worker threads; the result does not depend on it.
 
     Returns:
@@ -55,6 +59,9 @@ def pair_errors(
         level is 10 log10 (sum of reference / sum of errors), or -10 log10 of the mean of their quotients, which is
         ``halfangle.measure.snr``.
     """
+    if not isinstance(samples, int):
+        samples = SAMPLES[one_of("number of samples", samples or "standard", tuple(SAMPLES))]
+    budget = Budget.of(samples)
     size, model = levels[0].size, get_model(levels[0].model)
     packed, loop = pack_base(base), pair_loop()
     columns, rows = np.asarray(columns, np.int64), np.asarray(rows, np.int64)
@@ -63,7 +70,7 @@ def pair_errors(
     place[:, 0], place[:, 1] = (columns + 0.5) * scale[0], (rows + 0.5) * scale[1]
     place[:, 2], place[:, 5] = scale
     key = footprint_keys(place)
-    rule = strata_rule(get_pixel_filter(pixel_filter), *sample_count(place[:1], samples)[0].tolist())
+    rule = strata_rule(get_pixel_filter(pixel_filter), *sample_count(place[:1], budget)[0].tolist())
     view, light = _directions(np.random.default_rng(seed), len(columns), pairs)
     weight = np.full(view.shape[:2], 1.0 / pairs)
     lobes = _lobes(levels, columns, rows, model.log_normalisation)

@@ -13,6 +13,7 @@ Pixels that show the same part of a texture that repeats share their samples.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -21,21 +22,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
-from brdffit.footprint import get_pixel_filter
-from brdffit.methods import Pyramid
+from brdffit.footprint import PixelFilter, get_pixel_filter
+from brdffit.methods import Pyramid, one_of
 from brdffit.render import lights as light_sets
 from brdffit.render._footprints import (
     PIXELS_PER_PIECE,
-    SAMPLES,
+    Budget,
     Progress,
     Rule,
     equal_samples,
     group_footprints,
     pieces,
     run_in_threads,
+    sample_count,
     strata_rule,
-)  # fmt: skip
+)
 from brdffit.render._packing import (
+    Packed,
     environment_kernels,
     environment_pyramid_loop,
     environment_reference_loop,
@@ -44,7 +47,7 @@ from brdffit.render._packing import (
     pyramid_loop,
     reference_loop,
     shading_kernels,
-)  # fmt: skip
+)
 from brdffit.render.environment import Environment
 from brdffit.render.lights import Lights
 from brdffit.render.pairs import pair_errors
@@ -54,6 +57,30 @@ from brdffit.svbrdf import Svbrdf
 
 __all__ = ["SAMPLES", "Progress", "Reference", "pair_errors", "render_halves", "render_pyramid", "render_reference"]
 
+
+class Samples(NamedTuple):
+    """A preset: the noise that is aimed at, as SNR of the whole picture, the samples to begin with, and what is paid.
+
+    Some pixels at random are rendered with ``budget`` first; what their noise lacks decides how many times as many
+    samples the picture takes. ``cost`` bounds them, in samples shaded (see ``_cost``), for a picture that shares no
+    footprints could cost any time; but not below ``least`` times the budget.
+    """
+
+    noise_db: float
+    budget: Budget
+    cost: float
+    least: float
+
+
+#: What ``samples`` of a reference may be called.
+SAMPLES = {
+    "draft": Samples(25.0, Budget(128, 8, 1024), 1.5e8, 0.25),
+    "standard": Samples(35.0, Budget(256, 16, 4096), 6e8, 0.25),
+    "fine": Samples(45.0, Budget(1024, 64, 16384), 1e10, 0.25),
+}
+#: What it costs to make a sample, in units of shading one.
+_FILL_COST = 8.0
+_PILOT_PIXELS = 768
 
 #: Under an environment: samples of a footprint at least, and blocks of directions of either kind for one lobe.
 _LEAST_DIRECTIONS, _PYRAMID_BLOCKS = 1024, 1
@@ -122,7 +149,8 @@ def render_halves(
         environment: an ``environment.Environment`` around the surface, or None.
         terms: terms of the BRDF that are lit.
         pixel_filter: "box", "gaussian" or "mitchell", in pixels; the scene carries it to the texture.
-        samples: of a footprint: a preset's name ("draft", "standard", "fine"; None takes "standard") or their number.
+        samples: of a footprint: a preset's name ("draft", "standard", "fine"; None takes "standard"), see ``Samples``,
+            or their number.
         threads: worker threads; None takes one a core. The picture does not depend on it.
         progress: called with (pixels done, pixels).
 
@@ -131,13 +159,32 @@ def render_halves(
         UnknownNameError: for an unknown pixel filter or preset.
     """
     _check(base, scene.base_size)
-    chosen = get_pixel_filter(pixel_filter)
-    packed, pixels = pack_base(base), _Pixels(scene)
+    chosen, packed = get_pixel_filter(pixel_filter), pack_base(base)
+    passes = _lightings(lights, environment, base.model, terms, reference_loop, environment_reference_loop)
+    least = _LEAST_DIRECTIONS if environment is not None else 1
+    if isinstance(samples, int):
+        budget = Budget.of(max(samples, least))
+    else:
+        preset = SAMPLES[one_of("number of samples", samples or "standard", tuple(SAMPLES))]
+        budget = preset.budget.times(1.0, least)
+        pilot = _average(packed, _some_pixels(scene), passes, chosen, budget, threads, None)
+        # Independent samples: a quarter of the noise power wants four times as many.
+        missing = 2.0 ** math.ceil((preset.noise_db - min(pilot.noise_db, 99.0)) / (10.0 * math.log10(2.0)))
+        paid = preset.cost / _cost(scene, base.wrap == "tile", preset.budget)
+        budget = preset.budget.times(max(min(max(missing, 1.0), paid), preset.least), least)
+    return _average(packed, scene, passes, chosen, budget, threads, progress)
+
+
+def _average(
+    packed: Packed, scene: Scene, passes: Sequence[_Lighting], pixel_filter: PixelFilter, budget: Budget,
+    threads: int | None, progress: Progress | None,
+) -> Reference:  # fmt: skip
+    """Both halves of a picture, with so many samples a footprint."""
+    pixels = _Pixels(scene)
     footprints = group_footprints(pixels.centre, pixels.axes, scene.base_size, packed.tile)
     of = footprints.order
     view, frame, keys = pixels.view[of], pixels.frame[of], pixels.key[of]
     found = np.zeros((2, len(view), 3))
-    passes = _lightings(lights, environment, base.model, terms, reference_loop, environment_reference_loop)
 
     def work(rule: Rule, part: slice) -> int:
         starts = footprints.starts[part.start : part.stop + 1]
@@ -153,13 +200,30 @@ def render_halves(
         return inside.stop - inside.start
 
     jobs = []
-    for part, count in equal_samples(footprints.place, samples, _LEAST_DIRECTIONS if environment is not None else 1):
-        rule = strata_rule(chosen, *count)
+    for part, count in equal_samples(footprints.place, budget):
+        rule = strata_rule(pixel_filter, *count)
         jobs += [(rule, piece) for piece in pieces(footprints.starts, part)]
     run_in_threads(work, jobs, threads, progress, len(view))
     halves = np.zeros((2, *scene.pixels, 3), np.float32)
-    halves[:, pixels.rows[footprints.order], pixels.columns[footprints.order]] = found
+    halves[:, pixels.rows[of], pixels.columns[of]] = found
     return Reference(halves.mean(axis=0), halves)
+
+
+def _cost(scene: Scene, tile: bool, budget: Budget) -> float:
+    """Samples that a picture shades with this budget, and those that it makes times ``_FILL_COST``."""
+    pixels = _Pixels(scene)
+    footprints = group_footprints(pixels.centre, pixels.axes, scene.base_size, tile)
+    samples = 2.0 * sample_count(footprints.place, budget).prod(axis=1)
+    return float(samples @ (np.diff(footprints.starts) + _FILL_COST)) + 1.0
+
+
+def _some_pixels(scene: Scene) -> Scene:
+    """A few covered pixels at random, always the same, as a scene of one row."""
+    covered = np.flatnonzero(scene.coverage > 0.0)
+    chosen = np.sort(np.random.default_rng(0).permutation(covered)[:_PILOT_PIXELS])
+    at = np.unravel_index(chosen, scene.pixels)
+    arrays = {name: getattr(scene, name)[at][None] for name in ("centre", "axes", "view", "frame", "coverage")}
+    return dataclasses.replace(scene, **arrays)
 
 
 def render_pyramid(
