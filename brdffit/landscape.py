@@ -108,7 +108,7 @@ def _path(problem: Problem, start: NDArray) -> NDArray:
 
     def arguments(most: int) -> tuple:
         return (theta, value, search.free, problem.nodes, problem.setting, kernels.moments,
-                kernels.log_normalisation, search.tolerance, most, work)  # fmt: skip
+                kernels.log_normalisation, search.tolerance, search.floor, most, work)  # fmt: skip
 
     value = float(problem.value(start))
     minimise.compile(tuple(map(numba_type, arguments(1))))

@@ -45,6 +45,25 @@ def test_snr_of_errors_is_the_quotient_of_sums():
     assert found[1] == found[2] == math.inf
 
 
+def test_halves_of_a_noisy_reference_leave_its_noise_out():
+    """By hand: (P - A)(P - B) over A B. And on average: the truth itself has no error, whatever the noise."""
+    halves = np.array([2.0, 4.0]).reshape(2, 1, 1, 1)
+    assert metrics.snr_db_of_halves(np.full((1, 1, 1), 5.0), halves) == pytest.approx(-10 * math.log10(3 * 1 / 8))
+    assert metrics.relative_l2(np.full((1, 1, 1), 5.0), halves[0], 0.0, halves) == pytest.approx(3 / 25)
+    # Less than no error: between the halves.
+    assert metrics.snr_db_of_halves(np.full((1, 1, 1), 3.0), halves) == math.inf
+    assert metrics.relative_l2(np.full((1, 1, 1), 3.0), halves[0], 0.0, halves) == 0.0
+
+    truth = noise(4, (64, 64, 3)) + 0.5
+    noisy = truth + 0.2 * np.random.default_rng(5).standard_normal((2, *truth.shape))
+    picture = 1.1 * truth
+    biased, unbiased = metrics.snr_db(picture, noisy.mean(axis=0)), metrics.snr_db_of_halves(picture, noisy)
+    assert unbiased == pytest.approx(20.0, abs=0.3)
+    assert biased < 18.0
+    with pytest.raises(ValueError, match="halves"):
+        metrics.snr_db_of_halves(picture, truth)
+
+
 def test_energy_by_hand():
     assert metrics.energy_kept(PICTURE, REFERENCE) == pytest.approx(8 / 7)
     assert metrics.energy_kept(0 * PICTURE, 0 * REFERENCE) == 1.0

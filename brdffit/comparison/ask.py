@@ -30,7 +30,7 @@ class Ask:
     """
 
     methods: tuple[str, ...] = ()
-    pixels: int = 256
+    pixels: int = 192
     frames: int = 128
     texels: int = 64
     pairs: int = 64

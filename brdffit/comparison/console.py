@@ -36,11 +36,11 @@ class ComparisonDisplay:
     """What a comparison is doing, on standard error: one line, and a bar while texels are baked."""
 
     def __init__(self) -> None:
-        console = Console(stderr=True, highlight=False)
+        self._console = console = Console(stderr=True, highlight=False, markup=False)
         columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
         self._bars = Progress(*columns, TimeElapsedColumn(), console=console, transient=True)
         self._task = self._bars.add_task("", total=None)
-        self._text, self._level = "", -1
+        self._text, self._began = "", time.perf_counter()
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -51,7 +51,9 @@ class ComparisonDisplay:
 
     def phase(self, text: str) -> None:
         """Something begins."""
-        self._text, self._level = text, -1
+        self._text = text
+        if not self._console.is_terminal:
+            self._console.print(f"{time.perf_counter() - self._began:6.1f} s  {text}", soft_wrap=True)
         self._bars.update(self._task, description=text, total=None, completed=0)
 
     def __call__(self, level: int, done: int, total: int) -> None:

@@ -212,7 +212,7 @@ class SetWork:
         """The whole set once, by the reference under small lights; returns its path."""
         sizes = level_sizes(self.base.size)
         k = next((i for i, size in enumerate(sizes) if max(size) <= _OVERVIEW), len(sizes) - 1)
-        radiance = self.studio.reference(self.base, scenes.plane(self.base.size, k, sizes[k]), SMALL_LIGHTS)
+        radiance = self.studio.reference(self.base, scenes.plane(self.base.size, k, sizes[k]), SMALL_LIGHTS).radiance
         return self._store("overview", metrics.tone_map(radiance, metrics.exposure_of(radiance)))
 
     def _texels(self, k: int) -> tuple[NDArray, NDArray]:
@@ -223,7 +223,9 @@ class SetWork:
 
     def _store(self, name: str, picture: NDArray) -> str:
         path = self._path(name)
-        self.pictures[path] = picture if picture.dtype == np.uint8 else np.round(255.0 * picture).astype(np.uint8)
+        if picture.dtype != np.uint8:
+            picture = np.round(255.0 * np.nan_to_num(picture)).astype(np.uint8)  # its figures tell of what is no number
+        self.pictures[path] = picture
         return path
 
     def _tell(self, what: str) -> None:

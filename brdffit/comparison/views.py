@@ -15,7 +15,7 @@ from brdffit.render import lights as light_sets
 from brdffit.render import metrics, scenes
 from brdffit.render.environment import Environment
 from brdffit.render.lights import Lights
-from brdffit.render.reference import render_pyramid, render_reference
+from brdffit.render.reference import Reference, render_halves, render_pyramid
 from brdffit.render.scenes import Scene
 from brdffit.report.records import Figures, Shot, View, capped
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -59,11 +59,15 @@ class Studio:
         """With the small lights of the renderer."""
         return cls(environment=environment, lights=light_sets.few(), **settings)
 
-    def reference(self, base: Svbrdf, scene: Scene, lit: str) -> NDArray:
-        """(h, w, 3) linear radiance."""
-        return render_reference(
+    def reference(self, base: Svbrdf, scene: Scene, lit: str) -> Reference:
+        """The reference picture with its halves.
+
+        Under an environment it takes as many samples as a draft has: they cost ten times as much there, and what noise
+        they leave is kept out of the squared errors by the halves.
+        """
+        return render_halves(
             base, scene, self._lights(lit), environment=self._environment(lit), pixel_filter=self.pixel_filter,
-            samples=self.samples, threads=self.threads,
+            samples=self.samples if lit == SMALL_LIGHTS else "draft", threads=self.threads,
         )  # fmt: skip
 
     def method(self, levels: Sequence[Svbrdf], scene: Scene, lit: str) -> NDArray:
@@ -104,23 +108,22 @@ def all_views(
     """
     near = distances_of(base.size, len(next(iter(pyramids.values()))))
     pixels = (studio.pixels, studio.pixels)
-    first: dict[str, NDArray] = {}
+    first: dict[str, NDArray] = {}  # what half a pixel is held against
     for lit in (SMALL_LIGHTS, ENVIRONMENT):
         for distance, level in near.items():
             told(f"{distance}, {lit}")
             scene = scenes.plane(base.size, level, pixels)
             shown = {**pyramids, **kept} if level == 0 else pyramids
-            radiance = _radiance(base, shown, scene, lit, studio)
+            taken = _take(base, shown, scene, lit, studio)
             if distance == "near" and lit == SMALL_LIGHTS:
-                first = radiance
+                first = taken.pictures()
             title = f"Plane, {distance} (level {level}), {lit}"
-            view = _view(f"{distance}-{_slug(lit)}", "distance", title, lit, radiance, distance, float(level))
-            yield view, _displayed(radiance, view.exposure)
+            view = _view(f"{distance}-{_slug(lit)}", "distance", title, lit, taken, distance, float(level))
+            yield view, _displayed(taken.pictures(), view.exposure)
 
     told("half a pixel")
-    moved = _radiance(base, {**pyramids, **kept}, scenes.plane(base.size, 0, pixels, shift=_HALF_PIXEL),
-                      SMALL_LIGHTS, studio)  # fmt: skip
-    yield _shift_view(first, moved)
+    moved = scenes.plane(base.size, 0, pixels, shift=_HALF_PIXEL)
+    yield _shift_view(first, _take(base, {**pyramids, **kept}, moved, SMALL_LIGHTS, studio).pictures())
 
     told("slow rotation")
     yield _rotation_view(base, pyramids, kept, studio)
@@ -130,37 +133,56 @@ def all_views(
         (scenes.sphere(base.size, _ball_level(base, pyramids), pixels), ENVIRONMENT, "Sphere"),
     ):
         told(scene.name)
-        radiance = _radiance(base, pyramids, scene, lit, studio)
-        view = _view(scene.name, "scene", f"{title}, {lit}", lit, radiance, "", scene.level)
-        yield view, _displayed(radiance, view.exposure)
+        taken = _take(base, pyramids, scene, lit, studio)
+        view = _view(scene.name, "scene", f"{title}, {lit}", lit, taken, "", scene.level)
+        yield view, _displayed(taken.pictures(), view.exposure)
 
 
-def figures_of(picture: NDArray, reference: NDArray, exposure: float) -> Figures:
-    """``metrics.compare_pictures`` as a record, decibels capped."""
-    found = metrics.compare_pictures(picture, reference, exposure)
-    return Figures(**found._replace(snr_db=capped(found.snr_db))._asdict())
+def figures_of(picture: NDArray, reference: Reference, exposure: float) -> Figures:
+    """``metrics.compare_pictures`` as a record, held to numbers that JSON knows; what is none counts as the worst."""
+    found = metrics.compare_pictures(picture, reference.radiance, exposure, reference.halves)
+    return Figures(
+        snr_db=capped(found.snr_db),
+        relative_l2=_held(found.relative_l2, _MOST_CHANGE),
+        flip_hdr=_held(found.flip_hdr, 1.0),
+        flip_ldr=_held(found.flip_ldr, 1.0),
+        ssim=-_held(-found.ssim, 1.0),
+        energy_kept=_held(found.energy_kept, _MOST_CHANGE),
+    )
 
 
-def _radiance(base: Svbrdf, pyramids: Pyramids, scene: Scene, lit: str, studio: Studio) -> dict[str, NDArray]:
-    """Linear pictures by name, the reference first."""
-    pictures = {"reference": studio.reference(base, scene, lit)}
-    pictures.update((name, studio.method(levels, scene, lit)) for name, levels in pyramids.items())
-    return pictures
+def _held(value: float, most: float) -> float:
+    return float(min(value, most)) if np.isfinite(value) else most
 
 
-def _view(
-    key: str, group: str, title: str, lit: str, radiance: Mapping[str, NDArray], distance: str, level: float | None
-) -> View:
+@dataclass(frozen=True)
+class _Taken:
+    """One scene under one lighting: the reference, and linear pictures by name of the method."""
+
+    reference: Reference
+    methods: dict[str, NDArray]
+
+    def pictures(self) -> dict[str, NDArray]:
+        """Linear pictures by name, the reference first."""
+        return {"reference": self.reference.radiance, **self.methods}
+
+
+def _take(base: Svbrdf, pyramids: Pyramids, scene: Scene, lit: str, studio: Studio) -> _Taken:
+    methods = {name: studio.method(levels, scene, lit) for name, levels in pyramids.items()}
+    return _Taken(studio.reference(base, scene, lit), methods)
+
+
+def _view(key: str, group: str, title: str, lit: str, taken: _Taken, distance: str, level: float | None) -> View:
     """The record of a still view; names of pictures are keys for now, paths later."""
-    reference = radiance["reference"]
-    exposure = metrics.exposure_of(reference)
-    names = [name for name in radiance if name != "reference"]
+    exposure = metrics.exposure_of(taken.reference.radiance)
     with ThreadPoolExecutor() as pool:  # FLIP, the longest, lets others work meanwhile
-        figures = list(pool.map(lambda name: figures_of(radiance[name], reference, exposure), names))
+        figures = pool.map(lambda picture: figures_of(picture, taken.reference, exposure), taken.methods.values())
+        shots = [
+            Shot(method=name, picture=name, figures=each) for name, each in zip(taken.methods, figures, strict=True)
+        ]
     return View(
         key=key, group=group, title=title, lighting=lit, distance=distance, level=level, exposure=exposure,
-        reference="reference",
-        shots=[Shot(method=name, picture=name, figures=each) for name, each in zip(names, figures, strict=True)],
+        reference="reference", shots=shots,
     )  # fmt: skip
 
 
@@ -189,7 +211,7 @@ def _rotation_view(base: Svbrdf, pyramids: Pyramids, kept: Pyramids, studio: Stu
     level = _MOTION_LEVEL if len(level_sizes(base.size)) > 1 else 0.0
     column = (studio.pixels, 1)
     turned = [scenes.plane(base.size, level, column, rotation=i * _ROTATION) for i in range(studio.frames)]
-    pictures = _radiance(base, {**pyramids, **kept}, _side_by_side(turned), SMALL_LIGHTS, studio)
+    pictures = _take(base, {**pyramids, **kept}, _side_by_side(turned), SMALL_LIGHTS, studio).pictures()
     stacked = {name: picture.swapaxes(0, 1) for name, picture in pictures.items()}
     exposure = metrics.exposure_of(pictures["reference"])
     view = View(

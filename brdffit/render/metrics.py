@@ -46,6 +46,18 @@ def snr_db(picture: NDArray, reference: NDArray) -> float:
     return -10.0 * math.log10(error / power) if power > 0.0 else -math.inf
 
 
+def snr_db_of_halves(picture: NDArray, halves: NDArray) -> float:
+    """`snr_db` against a reference that is itself sampled: two independent halves A and B (2, h, w, 3) of it.
+
+    sum (P - A)(P - B) is the squared error and sum A B the power without the reference's noise, on average (that is how
+    Kemppinen's Noise2Noise loss gets by with noisy references); infinite where no error is left, or less than none.
+    """
+    error, power = _squares_of_halves(picture, halves)
+    if error <= 0.0:
+        return math.inf
+    return -10.0 * math.log10(error / power) if power > 0.0 else -math.inf
+
+
 def snr_of_errors(errors: NDArray, power: NDArray) -> NDArray:
     """-10 log10( sum of squared errors / sum of squared reference ) in dB over texels: (M, n) and (n,) give (M,).
 
@@ -57,18 +69,18 @@ def snr_of_errors(errors: NDArray, power: NDArray) -> NDArray:
     return np.where(total > 0.0, -10.0 * np.log10(np.maximum(total, 1e-300)), np.inf)
 
 
-def relative_l2(picture: NDArray, reference: NDArray, epsilon: float = EPSILON) -> float:
+def relative_l2(picture: NDArray, reference: NDArray, epsilon: float = EPSILON, halves: NDArray | None = None) -> float:
     """Kemppinen et al. 2023, equation 5: mean (P - R)^2 / (mean P^2 + epsilon).
 
     The paper divides by the prediction P, held constant in the gradient, because its reference is noisy: the gradient
     is then linear in R, and the noise of R averages out of it (a noisy R in the denominator would bias it). As a figure
     it does not treat both sides alike: P = s R gives (1 - 1/s)^2, so that too bright costs less than too dark; `snr_db`
-    divides by the reference and gives (s - 1)^2.
+    divides by the reference and gives (s - 1)^2. With ``halves`` of the reference its noise is left out of the error.
     """
     count = max(1, np.size(reference))
-    error, _ = _squares(picture, reference)
+    error, _ = _squares(picture, reference) if halves is None else _squares_of_halves(picture, halves)
     power = float(np.square(picture, dtype=np.float64).sum())
-    return (error / count) / (power / count + epsilon)
+    return max(error, 0.0) / count / (power / count + epsilon)
 
 
 def energy_kept(picture: NDArray, reference: NDArray) -> float:
@@ -123,13 +135,22 @@ def ssim(displayed: NDArray, displayed_reference: NDArray) -> float:
     )  # fmt: skip
 
 
-def compare_pictures(picture: NDArray, reference: NDArray, exposure: float | None = None) -> PictureFigures:
-    """All figures of one picture; ``exposure`` of the displayed ones, by default that of the reference."""
+def compare_pictures(
+    picture: NDArray, reference: NDArray, exposure: float | None = None, halves: NDArray | None = None
+) -> PictureFigures:
+    """All figures of one picture.
+
+    Args:
+        picture, reference: (h, w, 3) linear.
+        exposure: of the displayed pictures, by default that of the reference.
+        halves: (2, h, w, 3), independent estimates that the reference is the mean of: its noise is then left out of
+            the squared errors. (What is perceived of it stays in FLIP and SSIM.)
+    """
     exposure = exposure_of(reference) if exposure is None else exposure
     shown, shown_reference = tone_map(picture, exposure), tone_map(reference, exposure)
     return PictureFigures(
-        snr_db=snr_db(picture, reference),
-        relative_l2=relative_l2(picture, reference),
+        snr_db=snr_db(picture, reference) if halves is None else snr_db_of_halves(picture, halves),
+        relative_l2=relative_l2(picture, reference, halves=halves),
         flip_hdr=flip_hdr(picture, reference),
         flip_ldr=flip_ldr(shown, shown_reference),
         ssim=ssim(shown, shown_reference),
@@ -160,6 +181,15 @@ def _squares(picture: NDArray, reference: NDArray) -> tuple[float, float]:
         raise ValueError(f"the picture has shape {np.shape(picture)}, expected {np.shape(reference)} of its reference")
     difference = np.asarray(picture, np.float64) - np.asarray(reference, np.float64)
     return float(np.square(difference).sum()), float(np.square(reference, dtype=np.float64).sum())
+
+
+def _squares_of_halves(picture: NDArray, halves: NDArray) -> tuple[float, float]:
+    """Sums of (P - A)(P - B) and of A B."""
+    if np.shape(halves) != (2, *np.shape(picture)):
+        raise ValueError(f"halves have shape {np.shape(halves)}, expected {(2, *np.shape(picture))}")
+    one, other = np.asarray(halves, np.float64)
+    own = np.asarray(picture, np.float64)
+    return float(np.sum((own - one) * (own - other))), float(np.sum(one * other))
 
 
 def _flip(picture: NDArray, reference: NDArray, dynamic_range: str) -> float:
