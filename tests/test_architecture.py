@@ -41,6 +41,12 @@ FORBIDDEN = {
     },
     # Its workers bake as the command bake does; the fit and the lobe it knows by their methods alone.
     "brdffit.library": {"brdffit.models", "brdffit.halfangle", "brdffit.report", "brdffit.console", "brdffit.cli"},
+    # The report draws; it computes nothing.
+    "brdffit.report": {
+        "brdffit.fitting", "brdffit.halfangle", "brdffit.render", "brdffit.models", "brdffit.svbrdf", "brdffit.methods",
+        "brdffit.baking", "brdffit.comparison", "brdffit.landscape", "brdffit.cli",
+    },
+    "brdffit.comparison": {"brdffit.cli", "brdffit.library", "brdffit.report.page", "matplotlib", "jinja2"},
     "baselines": {"brdffit.fitting", "brdffit.halfangle", "brdffit.textures", "brdffit.render", "brdffit.cli"},
 }  # fmt: skip
 

@@ -42,7 +42,9 @@ def run(command, folder):
 def test_commands_were_found():
     assert len(MAKE) + len(BRDFFIT) == len(COMMANDS)
     assert {"make bake", "make test"} <= set(MAKE)
-    assert {line.split()[1] for line in BRDFFIT} == {"bake", "inspect", "library", "methods", "models"}
+    assert {line.split()[1] for line in BRDFFIT} == {
+        "bake", "compare", "inspect", "landscape", "library", "methods", "models",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("command", BRDFFIT)

@@ -87,6 +87,14 @@ def test_a_method_that_lacks_a_set_is_first_nowhere(made):
     assert all(cell.best for cell in rows["bfgs"].cells[3:])
 
 
+def test_nothing_is_first_where_all_is_wrong(made):
+    worst = msgspec.json.decode(msgspec.json.encode(made[0]), type=records.Comparison)
+    for result in worst.sets:
+        for shot in result.views[0].shots:
+            shot.figures.snr_db = -records.MOST_DB
+    assert not any(row.cells[3].best for row in summary.summary(worst))
+
+
 def test_differences_are_those_of_each_set_and_lighting(made):
     found = summary.differences(made[0], "naive")
     expected = [PICTURE_SNR[name, "bfgs"][1] - PICTURE_SNR[name, "naive"][1] for name in ("alpha", "beta </script>")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from brdffit.report.records import Comparison, Figures, SetResult, View
+from brdffit.report.records import MOST_DB, Comparison, Figures, SetResult, View
 
 #: What the summary's columns stand under, and the lighting of its pictures (None: pairs of light and viewer).
 GROUPS: tuple[tuple[str, str | None], ...] = (
@@ -134,10 +134,10 @@ def _gain(comparison: Comparison, method: str, base: str = "naive") -> float | N
 
 
 def _best(values: dict[str, list[float]], comparison: Comparison) -> set[str]:
-    """Methods with the highest mean among those that have every set."""
+    """Methods with the highest mean among those that have every set; none where nothing is right at all."""
     means = {name: _mean(each) for name, each in values.items() if len(each) == len(comparison.sets)}
     complete = {name: mean for name, mean in means.items() if mean is not None}
-    return {name for name, mean in complete.items() if mean == max(complete.values())}
+    return {name for name, mean in complete.items() if mean == max(complete.values()) and mean > -MOST_DB}
 
 
 def _mean(values: list[float]) -> float | None:
