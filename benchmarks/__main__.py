@@ -9,10 +9,10 @@ from pathlib import Path
 
 import click
 
-from benchmarks import accuracy, integrals, scaling, speed, startup
+from benchmarks import accuracy, integrals, rendering, scaling, speed, startup
 from benchmarks.record import ROOT, Section, as_markdown, as_record, machine
 
-CONCERNS = ("startup", "speed", "scaling", "integrals", "accuracy")
+CONCERNS = ("startup", "speed", "rendering", "scaling", "integrals", "accuracy")
 
 
 @click.command()
@@ -46,6 +46,7 @@ def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets
     runs: dict[str, Callable[[], Section]] = {
         "startup": lambda: startup.measure_startup(quick),
         "speed": lambda: speed.measure_speed(materials, quick),
+        "rendering": lambda: rendering.measure_rendering(materials, quick),
         "scaling": lambda: scaling.measure_scaling(quick),
         "integrals": lambda: integrals.measure_integrals(quick),
         "accuracy": lambda: accuracy.measure_accuracy(materials, quick, save, sets),

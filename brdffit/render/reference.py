@@ -245,9 +245,16 @@ def render_pyramid(
         InputError: when the scene was made for a base of another size than level 0.
     """
     levels = [level.svbrdf for level in pyramid.levels] if isinstance(pyramid, Pyramid) else list(pyramid)
-    _check(levels[0], scene.base_size)
-    packed, pixels = pack_levels(levels), _Pixels(scene)
-    detail = level_of_detail(scene)[pixels.rows, pixels.columns].astype(np.float64)
+    if levels[0].size != tuple(scene.base_size):
+        raise InputError(
+            f"The scene was made for a base of {scene.base_size} texels, but level 0 has {levels[0].size}."
+        )
+    pixels = _Pixels(scene)
+    detail = np.clip(level_of_detail(scene)[pixels.rows, pixels.columns].astype(np.float64), 0.0, len(levels) - 1.0)
+    # Only the levels that are seen are packed.
+    finest, coarsest = math.floor(detail.min(initial=len(levels) - 1.0)), math.ceil(detail.max(initial=0.0))
+    packed = pack_levels(levels[finest : max(coarsest, finest) + 1])
+    detail -= finest
     base_size = np.array(scene.base_size[::-1], np.float64)
     found = np.zeros((len(detail), 3))
     passes = _lightings(lights, environment, packed.model, terms, pyramid_loop, environment_pyramid_loop)
