@@ -35,8 +35,8 @@ from brdffit.svbrdf import Svbrdf
 SIDE = 49
 #: Samples of a footprint along an axis.
 _SAMPLES = (16, 64)
-#: Half width of the window, in standard deviations of the base lobes' slopes about their mean.
-_REACH = 3.0
+#: The window holds this share of the base lobes' peaks, and so many lobe widths beyond.
+_SHOWN, _REACH = 0.8, 2.0
 _LEAST_EXTENT, _MOST_EXTENT = 0.015, 0.95
 
 
@@ -145,22 +145,33 @@ def _own_lobe(level: Svbrdf, texel: tuple[int, int]) -> NDArray:
 
 
 def _window(lobes: NDArray) -> tuple[tuple[float, float], float, NDArray]:
-    """Centre and half width of the square of projected half vectors that holds the lobes, and their long axis."""
+    """Centre and half width of the square of projected half vectors that shows the lobes, and their long axis.
+
+    Medians, not moments: a few steep normals at the edge of a plate would stretch the window over empty space.
+    """
     weight = np.abs(lobes[:, MIXTURE])
     weight = weight / weight.sum()
     flat = lobes[:, 0:2]
-    centre = weight @ flat
+    centre = np.array([_quantile(flat[:, k], weight, 0.5) for k in range(2)])
     away = flat - centre
+    distance = np.hypot(*away.T)
     tensor = tensor_from_log(lobes[:, LOG_TENSOR : LOG_TENSOR + 3])
+    width = _quantile(np.sqrt(tensor[:, 0] + tensor[:, 1]), weight, 0.5)
+    extent = float(np.clip(_quantile(distance, weight, _SHOWN) + _REACH * width, _LEAST_EXTENT, _MOST_EXTENT))
     # GGX has no variance; half its alpha^2 is that of the Beckmann lobe of the same width.
-    xx, yy, xy = (weight @ (0.5 * tensor[:, k]) for k in range(3))
-    spread = (away * weight[:, None]).T @ away + np.array([[xx, xy], [xy, yy]])
-    values, vectors = np.linalg.eigh(spread)
-    extent = float(np.clip(_REACH * np.sqrt(values[1]), _LEAST_EXTENT, _MOST_EXTENT))
+    inside = weight * (distance < extent)
+    xx, yy, xy = (inside @ (0.5 * tensor[:, k]) for k in range(3))
+    spread = (away * inside[:, None]).T @ away + np.array([[xx, xy], [xy, yy]])
     # The window stays on the disk of projected unit vectors.
-    room = max(0.0, 1.0 - extent)
-    centre = centre * min(1.0, room / max(float(np.hypot(*centre)), 1e-9))
-    return (float(centre[0]), float(centre[1])), extent, vectors[:, 1]
+    centre = centre * min(1.0, (1.0 - extent) / max(float(np.hypot(*centre)), 1e-9))
+    return (float(centre[0]), float(centre[1])), extent, np.linalg.eigh(spread)[1][:, 1]
+
+
+def _quantile(values: NDArray, weight: NDArray, share: float) -> float:
+    """The value below which this share of the weight (sum 1) lies."""
+    order = np.argsort(values)
+    at = np.searchsorted(np.cumsum(weight[order]), share)
+    return float(values[order[min(int(at), len(order) - 1)]])
 
 
 def _blur(lobes: NDArray, alpha_squared: float) -> None:

@@ -37,7 +37,7 @@ class Studio:
     """What is the same for all pictures of a comparison.
 
     Attributes:
-        pixels: side of a picture.
+        pixels: side of a picture; two thirds of it under the environment.
         frames: of the slow rotation.
         samples: preset of the reference ("draft", "standard", "fine"), see ``render_reference``.
         environment: around the surface.
@@ -108,11 +108,12 @@ def all_views(
     """
     near = distances_of(base.size, len(next(iter(pyramids.values()))))
     pixels = (studio.pixels, studio.pixels)
+    small = (studio.pixels * 2 // 3,) * 2  # a pixel under an environment costs ten times as much
     first: dict[str, NDArray] = {}  # what half a pixel is held against
     for lit in (SMALL_LIGHTS, ENVIRONMENT):
         for distance, level in near.items():
             told(f"{distance}, {lit}")
-            scene = scenes.plane(base.size, level, pixels)
+            scene = scenes.plane(base.size, level, pixels if lit == SMALL_LIGHTS else small)
             shown = {**pyramids, **kept} if level == 0 else pyramids
             taken = _take(base, shown, scene, lit, studio)
             if distance == "near" and lit == SMALL_LIGHTS:
@@ -130,7 +131,7 @@ def all_views(
 
     for scene, lit, title in (
         (scenes.slanted(base.size, pixels), SMALL_LIGHTS, "Slanted plane through all levels"),
-        (scenes.sphere(base.size, _ball_level(base, pyramids), pixels), ENVIRONMENT, "Sphere"),
+        (scenes.sphere(base.size, _ball_level(base, pyramids), small), ENVIRONMENT, "Sphere"),
     ):
         told(scene.name)
         taken = _take(base, pyramids, scene, lit, studio)
