@@ -8,7 +8,7 @@ from report_support import comparison as handmade
 from brdffit.cli import main
 from brdffit.comparison import views
 from brdffit.comparison.ask import Ask
-from brdffit.comparison.compare import _free_name, compare
+from brdffit.comparison.compare import _environment, _free_name, _name, compare
 from brdffit.comparison.lobes import SIDE, lobe_view, representative_texels, same_place
 from brdffit.comparison.maps import TILE, map_strip
 from brdffit.errors import InputError, UnknownNameError
@@ -19,6 +19,7 @@ from brdffit.report.records import KEPT_SUFFIX, MOST_ANISOTROPY, picture_names, 
 from brdffit.report.writing import write_report
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.textures.image_io import write_png
 
 #: As little as still shows everything.
 SMALL = {"pixels": 16, "frames": 3, "texels": 4, "pairs": 16, "lobes": 2, "samples": "draft"}
@@ -130,6 +131,20 @@ def test_no_method_at_all():
 def test_sets_of_one_name_are_told_apart():
     assert _free_name("steel", []) == "steel"
     assert _free_name("steel", ["steel", "steel-2"]) == "steel-3"
+
+
+def test_a_picture_that_is_no_environment_is_told(tmp_path):
+    write_png(tmp_path / "grey.png", np.full((4, 8), 128, np.uint8))
+    with pytest.raises(InputError, match=r"grey\.png' cannot light a scene: .*expected \(H, W, 3\)"):
+        _environment(str(tmp_path / "grey.png"))
+    write_png(tmp_path / "sky.png", np.full((4, 8, 4), 255, np.uint8))
+    assert _environment(str(tmp_path / "sky.png")).radiance.shape == (4, 8, 3)
+
+
+def test_a_set_is_called_as_its_folder(tmp_path):
+    (tmp_path / "steel.v2").mkdir()
+    assert _name(tmp_path / "steel.v2", 0) == "steel.v2"
+    assert _name(tmp_path / "steel.gltf", 0) == "steel"
 
 
 def test_what_is_asked():

@@ -14,6 +14,7 @@ from typing import Any
 from brdffit.comparison.ask import Ask, Listener, PictureFiles
 from brdffit.comparison.one_set import SetWork, fit_of
 from brdffit.comparison.views import Studio
+from brdffit.errors import InputError
 from brdffit.methods import get_method, method_names
 from brdffit.render.environment import Environment, procedural_environment
 from brdffit.report.records import (
@@ -83,7 +84,10 @@ def compare(
 def _name(source: Any, number: int) -> str:
     if isinstance(source, Svbrdf):
         return f"set-{number + 1}"
-    return source.name if isinstance(source, TextureSet) else Path(source).resolve().stem
+    if isinstance(source, TextureSet):
+        return source.name
+    path = Path(source).resolve()
+    return path.name if path.is_dir() else path.stem
 
 
 def _free_name(name: str, taken: Sequence[str]) -> str:
@@ -95,7 +99,12 @@ def _free_name(name: str, taken: Sequence[str]) -> str:
 
 
 def _environment(file: str | None) -> Environment:
-    return procedural_environment() if file is None else Environment(read_image(file).pixels[..., :3])
+    if file is None:
+        return procedural_environment()
+    try:
+        return Environment(read_image(file).pixels[..., :3])
+    except ValueError as error:
+        raise InputError(f"'{file}' cannot light a scene: {error}.") from error
 
 
 def _machine(threads: int | None) -> dict[str, str | int | float | None]:

@@ -95,7 +95,8 @@
 
     function draw() {
       const names = ["reference", ...Object.keys(state.view.methods)];
-      for (const side of ["left", "right"]) if (!names.includes(state[side])) state[side] = base(state[side]);
+      for (const side of ["left", "right"])
+        if (!names.includes(state[side])) state[side] = names.includes(base(state[side])) ? base(state[side]) : names[1];
       for (const [side, chooser] of [["left", left], ["right", right]]) {
         chooser.node.replaceChildren(...names.map((name) => make("option", { value: name, textContent: name })));
         chooser.node.value = state[side];
