@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import platform
+import re
 import shutil
 import threading
 from dataclasses import replace
@@ -163,6 +165,15 @@ def test_force_only_and_shards(made):
         assert sorted(key for shard in shards for key in shard) == ["deep/set0", "deep/set2", "set1", "set3"]
 
 
+def test_a_root_without_sets_and_an_output_that_is_the_root_are_told(tmp_path):
+    with pytest.raises(InputError, match="holds no texture set, expected folders of textures"):
+        run_library(tmp_path, tmp_path / "out")
+    write_maps(tmp_path / "set")
+    with pytest.raises(InputError, match="both the library and its output"):
+        run_library(tmp_path, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"set"}
+
+
 def test_a_dry_run_writes_nothing(made, tmp_path):
     result = CliRunner().invoke(main, ["library", str(made[0]), "-o", str(tmp_path / "out"), "--dry-run"])
     assert result.exit_code == 0 and "4 sets would be baked" in result.output
@@ -243,8 +254,9 @@ def test_leftovers_of_killed_runs_are_swept_and_those_of_living_ones_are_not(lib
     dead = output / "deep" / ".set0.brdffit-new-1-1"
     dead.mkdir()
     (dead / "half.exr").write_bytes(b"")
-    (output / ".library.json.999999999.part").write_text("")
-    alive = output / f".index.html.{os.getppid()}.part"
+    host = re.sub("[^A-Za-z0-9]", "_", platform.node())
+    (output / f".library.json.{host}-999999999.part").write_text("")
+    alive = output / f".index.html.{host}-{os.getppid()}.part"
     alive.write_text("")
     gone = output / "deep" / "set2"
     gone.rename(output / "deep" / ".set2.brdffit-old-1-1")  # killed between two renames

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import shlex
 from collections.abc import Mapping
 from typing import Any
 
@@ -25,7 +26,10 @@ def write_page(store: Store, record: Mapping[str, Any], sources: Mapping[str, st
         OutputError: when it cannot be written.
     """
     seconds = record["volatile"]["seconds"]
-    rows = [_row(store, key, said, seconds[key]) | {"source": sources[key]} for key, said in record["sets"].items()]
+    rows = [
+        _row(store, key, said, seconds[key]) | {"source": shlex.quote(sources[key])}
+        for key, said in record["sets"].items()
+    ]
     environment = Environment(
         loader=PackageLoader("brdffit.library", "."), autoescape=select_autoescape(default=True), trim_blocks=True,
         lstrip_blocks=True,
@@ -41,6 +45,7 @@ def _row(store: Store, key: str, said: Mapping[str, Any], seconds: Mapping[str, 
     return {
         **said,
         "key": key,
+        "report": shlex.quote(key.replace("/", "-") + "-report"),
         "picture": "" if picture is None else base64.b64encode(picture).decode(),
         "lowest": min(known, default=None),
         "first": said["snr_db"][1] if len(said["snr_db"]) > 1 else None,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
 from brdffit import _jit
-from brdffit.errors import BrdffitError
+from brdffit.errors import BrdffitError, InputError
 from brdffit.library.bake import open_set, warm_up
 from brdffit.library.discovery import find_sets
 from brdffit.library.page import write_page
@@ -173,6 +173,8 @@ def _tasks(
     """Every set of the library with its options, by key."""
     settings = read_settings(None if settings_file is None else Path(settings_file), root)
     output = None if "://" in address else Path(address)
+    if output == root.resolve():
+        raise InputError(f"'{root}' is both the library and its output, expected another folder to write into.")
     split: dict[str, dict[str, Any]] = {}
 
     def of(found: Found) -> Task:
@@ -182,7 +184,10 @@ def _tasks(
             split[same] = split_options(said)
         return Task(found=found, output=address, code=code_digest(split[same]["method"]), **split[same])
 
-    return {found.key: of(found) for found in find_sets(root.resolve(), output, settings.is_left_out)}
+    tasks = {found.key: of(found) for found in find_sets(root.resolve(), output, settings.is_left_out)}
+    if not tasks:
+        raise InputError(f"'{root}' holds no texture set, expected folders of textures such as Name_NormalGL.png.")
+    return tasks
 
 
 def _plan(tasks: dict[str, Task], chosen: Sequence[str], store: Any, force: bool) -> Plan:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import platform
+import re
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -95,7 +97,7 @@ class _Folder:
 
     def write(self, name: str, text: str) -> None:
         final = self.root / name
-        part = final.with_name(f".{name}.{os.getpid()}.part")
+        part = final.with_name(f".{name}.{_host()}-{os.getpid()}.part")
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             with part.open("w", encoding="utf-8") as file:
@@ -143,7 +145,7 @@ class _Folder:
             return
         for parent, folders, files in os.walk(self.root):
             for name in files:
-                if name.startswith(".") and name.endswith(".part") and not _is_alive(name.split(".")[-2]):
+                if _is_left_over(name):
                     Path(parent, name).unlink(missing_ok=True)
             left = {name[1:].partition(".brdffit-")[0] for name in folders if name[0] == "." and ".brdffit-" in name}
             for name in sorted(left):
@@ -151,16 +153,22 @@ class _Folder:
             folders[:] = [name for name in folders if name[0] != "."]
 
 
-def _is_alive(process: str) -> bool:
-    if not process.isdigit():
-        return True
-    try:
-        os.kill(int(process), 0)
-    except ProcessLookupError:
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9]", "_", platform.node())
+
+
+def _is_left_over(name: str) -> bool:
+    """Whether a file was being written by a process of this machine that lives no more."""
+    match = re.fullmatch(r"\..*\." + _host() + r"-(\d+)\.part", name)
+    if match is None:
         return False
+    try:
+        os.kill(int(match[1]), 0)
+    except (ProcessLookupError, OverflowError):
+        return True
     except OSError:
         pass
-    return True
+    return False
 
 
 class _Remote:
