@@ -11,6 +11,7 @@ from brdffit.comparison.ask import Ask
 from brdffit.comparison.compare import _environment, _free_name, _name, compare
 from brdffit.comparison.lobes import SIDE, lobe_view, representative_texels, same_place
 from brdffit.comparison.maps import TILE, map_strip
+from brdffit.comparison.one_set import SetWork
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.methods import BakeOptions
 from brdffit.render import lights, scenes
@@ -112,9 +113,10 @@ def test_level_0_is_shown_filtered_and_as_authored(bumpy):
     assert where == ["near-small-lights", "near-environment", "shift", "rotation"]
 
 
-def test_nothing_is_kept_twice():
-    found = compare([material(bumps=0.1)], small_ask("naive", keep_level_0=True))[0]
-    assert not any(shot.method.endswith(KEPT_SUFFIX) for view in found.sets[0].views for shot in view.shots)
+@pytest.mark.parametrize(("options", "kept"), [({}, ["naive" + KEPT_SUFFIX]), ({"keep_level_0": True}, [])])
+def test_nothing_is_kept_twice(options, kept):
+    work = SetWork("set", material(), small_ask("naive", **options), ["naive"], studio(), None)
+    assert list(work._kept([work.base, material((8, 8))], "naive")) == kept
 
 
 def test_a_comparison_can_be_written_and_read(bumpy, tmp_path):

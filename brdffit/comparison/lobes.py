@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from brdffit.halfangle.quadrature import (
     SHAPE,
     SPECULAR,
 )
-from brdffit.models import get_model
+from brdffit.models import Model, get_model
 from brdffit.render.metrics import LUMINANCE
 from brdffit.report.records import LobeView, capped, pack
 from brdffit.roughness import log_from_tensor, tensor_from_log
@@ -38,6 +39,12 @@ _SAMPLES = (16, 64)
 #: The window holds this share of the base lobes' peaks, and so many lobe widths beyond.
 _SHOWN, _REACH = 0.8, 2.0
 _LEAST_EXTENT, _MOST_EXTENT = 0.015, 0.95
+
+
+@cache
+def model_of(name: str) -> Model:
+    """``get_model``, which reads the entry points of the whole installation, once for each name."""
+    return get_model(name)
 
 
 def lobe_view(
@@ -121,7 +128,7 @@ def same_place(texel: tuple[int, int], size: Sequence[int], other_size: Sequence
 
 def _footprint_lobes(svbrdf: Svbrdf, size: tuple[int, int], texel: tuple[int, int], pixel_filter: str) -> NDArray:
     """Base lobes (n, LOBE_COLUMNS) of a footprint, all with a full tensor."""
-    model = get_model(svbrdf.model)
+    model = model_of(svbrdf.model)
     base = base_of(svbrdf, model.default_shape)
     rule = dense_strata(svbrdf.size, size, pixel_filter, _SAMPLES)
     lobes = np.zeros((DENSE_ROOM * rule.samples + 1, LOBE_COLUMNS))
@@ -138,7 +145,7 @@ def _own_lobe(level: Svbrdf, texel: tuple[int, int]) -> NDArray:
     lobe = np.zeros((1, LOBE_COLUMNS))
     lobe[0, NORMAL : NORMAL + 3] = level.normal[row, column]
     lobe[0, LOG_TENSOR : LOG_TENSOR + 3] = level.log_roughness[row, column]
-    lobe[0, SHAPE] = get_model(level.model).default_shape if level.shape is None else level.shape[row, column]
+    lobe[0, SHAPE] = model_of(level.model).default_shape if level.shape is None else level.shape[row, column]
     lobe[0, SPECULAR : SPECULAR + 3] = level.specular[row, column]
     lobe[0, MIXTURE] = 1.0
     return lobe
@@ -184,7 +191,7 @@ def _blur(lobes: NDArray, alpha_squared: float) -> None:
 
 def _values(lobes: NDArray, model_name: str, x: NDArray, y: NDArray) -> NDArray:
     """Luminance of a sum of lobes at projected half vectors; 0 outside the unit disk."""
-    model = get_model(model_name)
+    model = model_of(model_name)
     height = 1.0 - x * x - y * y
     nodes = np.zeros((NODE_ROWS, x.size), np.float32)
     nodes[H_X : H_Z + 1] = np.stack([x, y, np.sqrt(np.maximum(height, 0.0))]).reshape(3, -1)

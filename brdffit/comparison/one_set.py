@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.comparison.ask import Ask, Listener, PictureFiles
-from brdffit.comparison.lobes import lobe_view, representative_texels, same_place
+from brdffit.comparison.lobes import lobe_view, model_of, representative_texels, same_place
 from brdffit.comparison.maps import map_strip
 from brdffit.comparison.views import SMALL_LIGHTS, Pyramids, Studio, all_views, distances_of
 from brdffit.errors import InputError
@@ -20,7 +20,6 @@ from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import Measured, measure, random_texels, snr
 from brdffit.methods import Pyramid, get_method
-from brdffit.models import get_model
 from brdffit.render import metrics, scenes
 from brdffit.render.pairs import pair_errors
 from brdffit.render.terms import Terms
@@ -157,7 +156,7 @@ class SetWork:
 
     def _measure(self, level: Mapping[str, Svbrdf], columns: NDArray, rows: NDArray) -> dict[str, Measured]:
         """Half-angle error and energy kept (n,) of each method's version of a level."""
-        source, options = get_model(self.base.model), self.ask.options
+        source, options = model_of(self.base.model), self.ask.options
         base = base_of(self.base, source.default_shape)
         found: dict[str, Measured] = {}
         for names in _by_model(level):
@@ -165,7 +164,7 @@ class SetWork:
             together = measure(
                 base, self.base.size, [level[name] for name in names], columns, rows,
                 pixel_filter=options.pixel_filter, exponent=DENSITY_EXPONENTS[options.density],
-                kernels=model_kernels(source.name, model), default_shape=get_model(model).default_shape,
+                kernels=model_kernels(source.name, model), default_shape=model_of(model).default_shape,
                 nodes=_MEASURE_NODES, samples=_MEASURE_SAMPLES,
             )  # fmt: skip
             found |= {name: Measured(*(each[m] for each in together)) for m, name in enumerate(names)}
