@@ -23,6 +23,7 @@ from brdffit.svbrdf import Svbrdf
 Progress = Callable[[int, int, int], None]
 
 QUALITIES = ("draft", "standard", "fine")
+LOSSES = ("l2", "relative", "l1")
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,10 @@ class BakeOptions:
         pixel_filter: "box", "gaussian" or "mitchell", of each level's scale.
         levels: how many levels, level 0 counted; None goes down to 1x1.
         keep_level_0: leave level 0 as authored instead of filtering it for the pixel filter.
+        tolerance: dB that a level's SNR may stay below the best lobe's; each texel is given no more work than that asks
+            for. None: the preset ``quality`` alone.
+        loss: "l2", "relative" (each half angle counts relative to what the target holds there) or "l1" (smoothed:
+            tails count more than in l2).
         quality: "draft", "standard" or "fine" (quadrature and starts of the nonlinear fit).
         specular: "free" (best scale in closed form) or "held" (filtered colour, for metallic-roughness outputs).
         lobe: "anisotropic" or "isotropic".
@@ -48,6 +53,8 @@ class BakeOptions:
     levels: int | None = None
     keep_level_0: bool = False
     quality: str = "standard"
+    tolerance: float | None = None
+    loss: str = "l2"
     specular: str = "free"
     lobe: str = "anisotropic"
     normal: str = "free"

@@ -58,11 +58,12 @@ def search_columns(theta, free, columns):
 
 
 @kernel
-def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisation, tolerance, most, work):
+def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisation, tolerance, floor, most, work):
     """Lower the objective from ``theta`` (6,), in place.
 
     ``work[0:6]`` must hold the gradient at theta and ``value`` the objective there (relative squared error - 1).
-    Stops when the decrease that the model still predicts is below ``tolerance`` times the error itself.
+    Stops when the decrease that the model still predicts is below ``tolerance`` times the error itself, or below
+    ``floor`` (in units of the objective).
     Returns (value, evaluations, status); theta is never worse than it was.
     """
     gradient = work[0:6]
@@ -91,7 +92,7 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
             length += s * s
         if not math.isfinite(slope):
             return value, evaluations, FALLBACK
-        if -0.5 * slope <= max(tolerance * (1.0 + value), _NOISE):
+        if -0.5 * slope <= max(max(tolerance * (1.0 + value), floor), _NOISE):
             return value, evaluations, CONVERGED
         length = math.sqrt(length)
         t = 1.0 if length <= _LONGEST_STEP else _LONGEST_STEP / length

@@ -21,20 +21,25 @@ from brdffit.fitting.batch import (
     model_kernels,
 )
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
-from brdffit.fitting.presets import Quality, get_quality
+from brdffit.fitting.losses import LOSS_CODES
+from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.status import FALLBACK, KEPT
 from brdffit.fitting.texel import Search
 from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, strata
 from brdffit.halfangle.density import DENSITY_EXPONENTS
+from brdffit.halfangle.measure import random_texels
 from brdffit.halfangle.quadrature import lattice
-from brdffit.methods import BakeOptions, Level, Progress, Pyramid, one_of
+from brdffit.methods import LOSSES, BakeOptions, Level, Progress, Pyramid, one_of
 from brdffit.models import Model, get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 # A piece of work should take a fraction of a second, so that an interrupt is heard and the bar moves.
 _TEXELS_PER_PIECE = 4096
 _LEAST_PIECES = 32
+# Texels that tell a level's mean error, and texels of a level worth it.
+_PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
+_LAXEST = 1e-2
 
 
 class NonlinearFit:
@@ -56,7 +61,7 @@ class NonlinearFit:
             InputError: when the base holds a number that is not finite.
         """
         target, source = get_model(options.model), get_model(svbrdf.model)
-        pixel_filter, quality = get_pixel_filter(options.pixel_filter), get_quality(options.quality)
+        pixel_filter, quality = get_pixel_filter(options.pixel_filter), quality_of(options)
         if not svbrdf.is_finite():
             raise InputError("The SVBRDF holds numbers that are not finite; every texel must be a finite number.")
         # Compiled before the threads start: two at once would both try.
@@ -73,7 +78,8 @@ class NonlinearFit:
             else:
                 kept = mip_level == 0 and options.keep_level_0
                 rules = level_rules(pixel_filter, svbrdf.size, size, mip_level, quality, point=kept)
-                output = _fit_level(base, rules, size, search, kernels, options.threads, mip_level, progress)
+                level_search = tolerant(search, options, base, rules, size, mip_level, kernels)
+                output = _fit_level(base, rules, size, level_search, kernels, options.threads, mip_level, progress)
                 level = _level(output, size, svbrdf, target, pixel_filter)
             level.seconds = time.perf_counter() - start
             pyramid.levels.append(level)
@@ -125,7 +131,33 @@ def search_settings(options: BakeOptions, quality: Quality, base: Base, source: 
         trusted=quality.trusted,
         negligible=quality.negligible,
         crowd=4,
+        floor=0.0,
+        loss=LOSS_CODES[one_of("loss", options.loss, LOSSES)],
     )
+
+
+def tolerant(
+    search: Search, options: BakeOptions, base: Base, rules: LevelRules, size: tuple[int, int], mip_level: int,
+    kernels: ModelKernels,
+) -> Search:  # fmt: skip
+    """``search`` for one level under ``options.tolerance``: how much error each shortcut of a texel may cost.
+
+    A level's SNR is the mean of its texels' errors e_i. If each of three shortcuts (closed form, few nodes, an early
+    stop) costs a texel at most a third of t max(e_i, mean e), t = 10^(dB/10) - 1, the mean grows by 2 t at the very
+    most, and by far less in practice, since hardly a texel uses up what it may. The mean error comes from random texels
+    that are fitted without shortcuts; a small level is not worth them.
+    """
+    if options.tolerance is None:
+        return search
+    share = (10.0 ** (0.1 * options.tolerance) - 1.0) / 3.0
+    # Where a start is too wide for its target the error is a plateau: a lax search would stop there.
+    search = search._replace(tolerance=min(share, _LAXEST))
+    if size[0] * size[1] < _LEAST_TEXELS:
+        return search
+    columns, rows = random_texels(size, _PILOT_TEXELS, seed=mip_level)
+    pilot = make_output(len(columns))
+    fit_texels(base, rules, columns, rows, search, pilot, kernels)
+    return search._replace(floor=share * float(pilot.residual.mean()))
 
 
 def _fit_level(

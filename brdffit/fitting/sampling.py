@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.fitting.batch import ModelKernels, Output, fit_texels, make_output, model_kernels
-from brdffit.fitting.method import level_rules, search_settings
-from brdffit.fitting.presets import Quality, get_quality
+from brdffit.fitting.method import level_rules, search_settings, tolerant
+from brdffit.fitting.presets import Quality, quality_of
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
@@ -66,11 +66,12 @@ class LevelSample:
     ) -> tuple[Lobes, Output]:
         """The lobes of these texels, and all that the fit says of them. ``quality`` overrides the named preset."""
         options = options or self.options
-        chosen = quality or get_quality(options.quality)
+        chosen = quality or quality_of(options)
         pixel_filter = get_pixel_filter(options.pixel_filter)
         rules = level_rules(pixel_filter, self.base_size, self.size, self.mip_level, chosen)
         search = search_settings(options, chosen, self.base, self.source, self.target)
         output, kernels = make_output(len(self)), self.kernels(float_width)
+        search = tolerant(search, options, self.base, rules, self.size, self.mip_level, kernels)
 
         def work(part: slice) -> None:
             own = Output(*(array[part] for array in output))

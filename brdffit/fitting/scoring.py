@@ -10,7 +10,7 @@ from brdffit._jit import kernel
 from brdffit.halfangle.density import half_angle_density
 from brdffit.halfangle.frame import lobe_frame
 from brdffit.halfangle.objective import HELD, SCALE, TARGET
-from brdffit.halfangle.quadrature import BLUE, GREEN, H_X, H_Y, H_Z, RED, WEIGHT
+from brdffit.halfangle.quadrature import BLUE, GREEN, H_X, H_Y, H_Z, MEASURE, RED, WEIGHT
 
 real = np.float32
 
@@ -82,21 +82,25 @@ def settle_scale(theta, nodes, setting, values_kernel, log_normalisation, values
 
 @kernel
 def coverage(theta, nodes, exponent, frame):
-    """A known integral over the lobe's peak, as the nodes see it; 1 where they stand close enough.
+    """A known integral over the lobe's peak, as the nodes see it, over its value: 1 where they stand close enough.
 
     Far from 1, what the nodes say of <D,D> is noise, and a search that lowers <D,D> by leaving the nodes behind would
-    find a hole instead of a lobe. The integral is that of G^2 (n.h)^5, G the GGX lobe of the same normal and tensor
-    whatever the model: with slopes t scaled to the tensor, G = (n.h)^-4 (1 + t^2)^-2 / (pi sqrt(det Sigma)) and
-    dh = (n.h)^3 sqrt(det Sigma) dt, so it is 1 / (3 pi sqrt(det Sigma)). (The integral of G (n.h), 1, would not do:
-    half of it is tail, which nodes far away see well enough.) A node stands for the solid angle W / w(h). ``frame``
-    (9,) is scratch.
+    find a hole instead of a lobe. (The integral of D (n.h) would not do: half of it is tail, which nodes far away see
+    well enough.) It is that of G^2 (n.h)^5 above the horizon, G the GGX lobe of the same normal and tensor whatever the
+    model. With slopes t scaled to the tensor, G = (n.h)^-4 (1 + t^2)^-2 / (pi sqrt(det Sigma)) and
+    dh = (n.h)^3 sqrt(det Sigma) dt, so that is the integral of (1 + t^2)^-4 / (pi^2 sqrt(det Sigma)) over what the
+    horizon leaves of the plane, n_z + g.Sigma^(1/2) t > 0 with g the z of the tangent axes. At a distance
+    d = n_z / sqrt(g' Sigma g) from the peak, across which the density is in proportion to (1 + x^2)^-7/2, that leaves
+    1 / (3 pi sqrt(det Sigma)) times 1/2 + (15 s - 10 s^3 + 3 s^5) / 16, s = d / sqrt(1 + d^2).
+
+    A node stands for the solid angle W / w(h), W its MEASURE. ``frame`` (9,) is scratch.
     """
     inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
     l1, l2, _, _ = lobe_frame(-theta[0] * inverse, -theta[1] * inverse, inverse, theta[2], theta[3], theta[4], frame)
     u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
     v_x, v_y, v_z = real(frame[3]), real(frame[4]), real(frame[5])
     n_x, n_y, n_z = real(frame[6]), real(frame[7]), real(frame[8])
-    h_x, h_y, h_z, weight = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT]
+    h_x, h_y, h_z, weight = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[MEASURE]
     cubic = exponent == 3
     seen = real(0.0)
     for j in range(nodes.shape[1]):
@@ -108,4 +112,7 @@ def coverage(theta, nodes, exponent, frame):
         g *= g
         up = max(h_z[j], real(0.02))  # no weight below the horizon
         seen += weight[j] / (up * up * up if cubic else up) * g * g * C * C * cos
-    return 3.0 / math.pi * math.exp(-0.5 * (l1 + l2)) * seen / half_angle_density(1.0, exponent)
+    across = math.sqrt((frame[2] * math.exp(l1)) ** 2 + (frame[5] * math.exp(l2)) ** 2)
+    sine = frame[8] / math.sqrt(frame[8] * frame[8] + across * across)
+    above = 0.5 + sine * (15.0 + sine * sine * (3.0 * sine * sine - 10.0)) / 16.0
+    return 3.0 / math.pi * math.exp(-0.5 * (l1 + l2)) * seen / (above * half_angle_density(1.0, exponent))

@@ -10,6 +10,7 @@ ITERATION_LIMIT = 4
 PRECISION_LIMIT = 5
 FALLBACK = 6
 NO_SPECULAR = 7
+CLOSED_FORM = 8
 
 #: Name and what it means, with advice where there is any; the index is what ``Level.status`` holds.
 STATUSES: tuple[tuple[str, str], ...] = (
@@ -21,6 +22,7 @@ STATUSES: tuple[tuple[str, str], ...] = (
     ("precision limit", "No step lowered the error any more at the precision of the sums; as good as converged."),
     ("fallback", "The search failed; the texel holds its closed-form start."),
     ("no specular", "The footprint reflects nothing specularly; normal and roughness were fitted as if it were white."),
+    ("closed form", "The closed-form lobe is within the tolerance that was asked for; nothing was searched."),
 )
 
 STATUS_NAMES = tuple(name for name, _ in STATUSES)

@@ -9,6 +9,7 @@ import numpy as np
 
 from brdffit._jit import inline, kernel
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, minimise
+from brdffit.fitting.losses import L1, RELATIVE, ROUNDS, weigh_absolutely, weigh_relatively
 from brdffit.fitting.scoring import (
     BLUE_SCALE,
     COVERAGE,
@@ -23,7 +24,9 @@ from brdffit.fitting.scoring import (
     settle_scale,
     target_norm,
 )
+from brdffit.fitting.shortcuts import closed_form_error
 from brdffit.fitting.status import (
+    CLOSED_FORM,
     CONVERGED,
     FALLBACK,
     FLAT,
@@ -72,8 +75,10 @@ real = np.float32
 
 # A mean spread below this (in units of the lobe's width) changes a lobe by less than 1%: the cheaper table will do.
 _NARROW_SPREAD = 0.01
+# The best lobe's error is about this share of the closed form's safe estimate.
+_FITTED_SHARE = 0.15
 # A lobe is hidden from nodes that miss (or overrate) what they should see of it by this share.
-_HIDDEN = 0.3
+_HIDDEN, _LOST = 0.3, 0.6
 #: How often a lobe that was found where no nodes stand may ask for nodes of its own.
 GUARDS = 3
 # Relative squared error (8 dB) at which a search is not believed to have found the best lobe.
@@ -90,7 +95,8 @@ class Search(NamedTuple):
     still promise; ``starts``: how many are followed to the end; bounds of the log eigenvalues and of the shape;
     ``same_model``: base and pyramid share a lobe model; ``trusted``: largest disagreement of two half rules, as a share
     of the residual, that is not refined; ``negligible``: disagreement (relative squared error) that never is;
-    ``crowd``: samples a stratum, in the mean, above which the first rule is passed over.
+    ``crowd``: samples a stratum, in the mean, above which the first rule is passed over; ``floor``: relative squared
+    error that each of a texel's shortcuts may cost; ``loss``: L2, RELATIVE or L1.
     """
 
     free: int
@@ -108,6 +114,8 @@ class Search(NamedTuple):
     trusted: float
     negligible: float
     crowd: int
+    floor: float
+    loss: int
 
 
 class Scratch(NamedTuple):
@@ -181,11 +189,21 @@ def fit_texel(
         widen_lobes(lobes, count, lobes_isotropic)
         lobes_isotropic = False
         closed_forms(lobes, count, lobes_isotropic, scratch.starts, isotropic)
+    # Five parameters fitted to N nodes follow their noise: they lose about 5 e / N.
+    expected, spare = 0.0, search.floor * rules[0].points.shape[1] / 5.0
+    if search.floor > 0.0:
+        expected = closed_form_error(lobes, count, lobes_isotropic, isotropic)
     clamp_to_domain(scratch.starts[LEAN], search)
     start = scratch.starts[LEAN]
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
     tier = 0 if count <= search.crowd * strata.x.size * strata.y.size else 1
+    # What a tolerance allows: the closed form, or few nodes, where they cost less than it.
+    if search.floor > 0.0 and some and search.same_model:
+        if expected <= search.floor:
+            return CLOSED_FORM
+        if _FITTED_SHARE * expected > spare:
+            tier = 1
     guards = 0
     while True:
         status = fit_by_rule(
@@ -193,7 +211,8 @@ def fit_texel(
             tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
         )  # fmt: skip
         hidden = abs(report[COVERAGE] - 1.0) > _HIDDEN
-        doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + search.negligible
+        doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + max(search.negligible, search.floor)
+        doubtful = doubtful or (tier == 0 and search.floor > 0.0 and report[RESIDUAL] > spare)
         if hidden and guards < GUARDS:
             if lobes_isotropic:
                 widen_lobes(lobes, count, True)
@@ -206,7 +225,7 @@ def fit_texel(
         tier = min(tier + 1, len(rules) - 1)
     if status == CONVERGED and tier > 0:
         status = REFINED
-    if hidden:
+    if abs(report[COVERAGE] - 1.0) > _LOST:
         # Still out of sight of its nodes: nothing that they say of it counts.
         status = FALLBACK
         fall_back(scratch, rules[tier], search, values_kernel, log_normalisation)
@@ -243,6 +262,8 @@ def fit_by_rule(
     place_nodes(lobes, count, lobes_isotropic, rule.points, search.exponent, rule.nodes, scratch.work)
     tabulate_kernel(lobes, count, lobes_isotropic, base.grey, rule.nodes, scratch.work)
     weigh_nodes(rule.nodes)
+    if search.loss == RELATIVE:
+        weigh_relatively(rule.nodes)
     colour = scratch.colour
     for k in range(3):
         colour[k] = scratch.report[FILTERED + k]
@@ -250,7 +271,31 @@ def fit_by_rule(
         colour[0] = colour[1] = colour[2] = 1.0
     # A refined texel has separated peaks more often than not: the highest is worth a search of its own.
     follow = min(search.starts + more_starts, STARTS)
-    return fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, log_normalisation)
+    status = fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, log_normalisation)
+    if search.loss == L1 and status != FALLBACK:
+        report = scratch.report
+        for _ in range(ROUNDS):
+            weigh_absolutely(rule.nodes, rule.values, report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE])
+            report[TARGET_NORM] = max(target_norm(rule.nodes), 1e-30)
+            go_on(scratch, rule, search, moments_kernel, values_kernel, log_normalisation)
+    return status
+
+
+@kernel
+def go_on(scratch, rule, search, moments_kernel, values_kernel, log_normalisation):
+    """Aim at ``scratch.colour`` anew, search from where the last search ended, and settle."""
+    theta, work, setting, report = scratch.theta, scratch.work, scratch.setting, scratch.report
+    aim(rule.nodes, scratch.colour, report[TARGET_NORM], setting)
+    value = evaluate(theta, rule.nodes, setting, moments_kernel, log_normalisation, work[0:6], work[120:168])
+    _, evaluations, _ = minimise(
+        theta, value, search.free, rule.nodes, setting, moments_kernel, log_normalisation,
+        search.tolerance, search.floor, search.iterations, work,
+    )  # fmt: skip
+    report[EVALUATIONS] += evaluations + 1
+    clamp_to_domain(theta, search)
+    settle_scale(
+        theta, rule.nodes, setting, values_kernel, log_normalisation, rule.values, search.exponent, work, report
+    )
 
 
 @kernel
@@ -277,17 +322,7 @@ def fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, l
         lengths = (r * r + g * g + b * b) * (colour[0] ** 2 + colour[1] ** 2 + colour[2] ** 2)
         if lengths > 0.0 and dot * dot < _SAME_COLOUR * lengths:
             colour[0], colour[1], colour[2] = r, g, b
-            aim(nodes, colour, norm, setting)
-            value = evaluate(theta, nodes, setting, moments_kernel, log_normalisation, work[0:6], work[120:168])
-            _, evaluations, _ = minimise(
-                theta, value, search.free, nodes, setting, moments_kernel, log_normalisation,
-                search.tolerance, search.iterations, work,
-            )  # fmt: skip
-            report[EVALUATIONS] += evaluations + 1
-            clamp_to_domain(theta, search)
-            settle_scale(
-                theta, nodes, setting, values_kernel, log_normalisation, rule.values, search.exponent, work, report
-            )
+            go_on(scratch, rule, search, moments_kernel, values_kernel, log_normalisation)
     if not math.isfinite(report[RESIDUAL]):
         report[RESIDUAL] = 1.0
         return FALLBACK
@@ -328,7 +363,7 @@ def search_from_starts(scratch, nodes, search, follow, moments_kernel, log_norma
             continue
         value, evaluations, status = minimise(
             scratch.start, value, search.free, nodes, setting, moments_kernel, log_normalisation,
-            search.tolerance, search.iterations, work,
+            search.tolerance, search.floor, search.iterations, work,
         )  # fmt: skip
         scratch.report[EVALUATIONS] += evaluations
         if value < best_value:

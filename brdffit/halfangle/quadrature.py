@@ -42,9 +42,9 @@ real = np.float32
 NORMAL, LOG_TENSOR, ALPHA_SQUARED, SHAPE, SPECULAR, MIXTURE, NORMALISATION, SPREAD = 0, 3, 3, 6, 7, 10, 11, 12
 LOBE_COLUMNS = 15
 
-# Rows of a node array.
-H_X, H_Y, H_Z, RED, GREEN, BLUE, DENSITY, WEIGHT = range(8)
-NODE_ROWS = 8
+# Rows of a node array; the last keeps the weights where a loss changes them.
+H_X, H_Y, H_Z, RED, GREEN, BLUE, DENSITY, WEIGHT, MEASURE = range(9)
+NODE_ROWS = 9
 
 # Plastic number's reciprocals: the two-dimensional additive recurrence of lowest discrepancy known (Roberts 2018).
 _R2 = (0.7548776662466927, 0.5698402909980532)
@@ -203,7 +203,8 @@ def tabulate_type(floats):  # type: ignore[no-untyped-def]
 
 @kernel
 def weigh_nodes(nodes):
-    """WEIGHT <- w / (N p) once the table is full. A node that no lobe reaches (p = 0) carries no weight."""
+    """WEIGHT, MEASURE <- w / (N p) once the table is full. A node that no lobe reaches (p = 0) carries no weight."""
     for j in range(nodes.shape[1]):
         p = nodes[DENSITY, j]
         nodes[WEIGHT, j] = nodes[WEIGHT, j] / p if p > 0.0 else 0.0
+        nodes[MEASURE, j] = nodes[WEIGHT, j]

@@ -1,0 +1,129 @@
+"""A tolerance in place of a preset, the closed-form shortcut behind it, and other losses."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_fitting import bake, check, errors, surface
+
+from brdffit.errors import InputError, UnknownNameError
+from brdffit.fitting.presets import quality_of
+from brdffit.fitting.sampling import LevelSample, Lobes
+from brdffit.fitting.shortcuts import closed_form_error
+from brdffit.fitting.status import CLOSED_FORM, FALLBACK
+from brdffit.footprint import get_pixel_filter
+from brdffit.halfangle.apparent_lobe import base_of, gather_lobes, normalise_mixture, strata
+from brdffit.halfangle.closed_forms import LEAN, STARTS, closed_forms
+from brdffit.halfangle.measure import random_texels, snr
+from brdffit.halfangle.quadrature import LOBE_COLUMNS
+from brdffit.methods import BakeOptions
+
+#: Random texels stand for a level, and two rules for the truth.
+SAMPLED = 0.03
+
+
+def waves(amplitude, side=128, seed=0):
+    """A smooth tileable base in which some regions are all but flat and others are steep for their lobes."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:side, 0:side] * (2 * np.pi / side)
+    slopes = np.zeros((side, side, 2))
+    for k in range(1, 6):
+        phase = rng.uniform(0, 2 * np.pi, 4)
+        slopes[..., 0] += np.sin(4 * k * x + phase[0]) * np.cos(3 * y + phase[1])
+        slopes[..., 1] += np.cos(3 * x + phase[2]) * np.sin(4 * k * y + phase[3])
+    calm = np.exp(3.0 * (np.cos(x) + np.cos(y) - 2.0))
+    return surface(size=(side, side), slopes=amplitude * calm[..., None] * slopes, alpha=0.2)
+
+
+@pytest.mark.parametrize("tolerance", [0.5, 0.1])
+def test_a_level_stays_within_its_tolerance_and_closed_forms_serve(tolerance):
+    base = waves(0.25)
+    sample = LevelSample(base, 1, *random_texels((64, 64), 400, seed=3))
+    best, _ = sample.fit(BakeOptions(quality="fine"))
+    found, output = sample.fit(BakeOptions(tolerance=tolerance))
+    error = sample.measure([best, found], nodes=1024, samples=(16, 32)).error
+    assert snr(error[0]) - snr(error[1]) <= tolerance + SAMPLED
+    assert 0.05 < (output.status == CLOSED_FORM).mean() < 0.95
+    assert not (output.status == FALLBACK).any()
+
+
+def test_a_tighter_tolerance_takes_fewer_shortcuts():
+    shares = [
+        (bake(waves(0.25), tolerance=dB, levels=2).levels[0].status == CLOSED_FORM).mean() for dB in (1.0, 0.3, 0.05)
+    ]
+    assert shares[0] > shares[1] > shares[2]
+
+
+def test_without_a_tolerance_nothing_is_cut_short():
+    assert not (check(bake(waves(0.25, side=64), levels=1)).levels[0].status == CLOSED_FORM).any()
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    spread=st.floats(0.001, 0.15),
+    alpha=st.floats(0.05, 0.7),
+    rough=st.floats(0.0, 0.3),
+    coloured=st.booleans(),
+    seed=st.integers(0, 10**6),
+)
+def test_the_estimate_of_the_closed_form_is_safe(spread, alpha, rough, coloured, seed):
+    """Where it promises little error, the closed form has no more (measured by the dense rule)."""
+    rng = np.random.default_rng(seed)
+    base = surface(size=(2, 2), spread=spread * alpha, alpha=alpha, seed=seed)
+    base.log_roughness[..., :2] += rng.normal(0, rough, (2, 2, 1)).astype(np.float32)
+    if coloured:
+        base.specular[:] = rng.uniform(0.05, 1.0, (2, 2, 3))
+    packed = base_of(base)
+    rule = strata(get_pixel_filter("box"), (2, 2), (1, 1), 4, 64, seed=0)
+    lobes, moment = np.zeros((rule.samples + 1, LOBE_COLUMNS)), np.zeros(9)
+    count, _ = gather_lobes(packed, rule, 0.0, 0, 0, lobes, moment)
+    *colour, _ = normalise_mixture(lobes, count)
+    promised = closed_form_error(lobes, count, True, False)
+    if promised > 1e-2:
+        return
+    starts = np.zeros((STARTS, 6))
+    closed_forms(lobes, count, True, starts, False)
+    sample = LevelSample(base, 1, np.zeros(1, np.int64), np.zeros(1, np.int64), base=packed)
+    error = sample.measure([Lobes(starts[LEAN][None], np.array(colour)[None])], nodes=2048, samples=(8, 16)).error
+    assert error.max() <= promised + 1e-6
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1.0, float("nan")])
+def test_a_tolerance_is_above_zero(tolerance):
+    with pytest.raises(InputError, match=r"^The tolerance is .* dB; it must be above 0\.$"):
+        quality_of(BakeOptions(tolerance=tolerance))
+
+
+def test_l2_is_best_in_l2_and_the_others_lie_lower_in_the_tail():
+    """Two lobes of different width in one footprint: L2 keeps the peak, the others give the tail its due."""
+    base = surface(size=(4, 4), spread=0.0, alpha=0.1)
+    base.log_roughness[::2, :, :2] = 2 * np.log(0.5)
+    pyramids = {loss: check(bake(base, loss=loss, levels=3)) for loss in ("l2", "relative", "l1")}
+    figures = {loss: errors(base, pyramid.levels[2]).mean() for loss, pyramid in pyramids.items()}
+    assert figures["l2"] < figures["l1"] and figures["l2"] < figures["relative"]
+    widths = {loss: float(pyramid.levels[2].svbrdf.log_roughness[0, 0, 0]) for loss, pyramid in pyramids.items()}
+    assert widths["l2"] < widths["l1"] < widths["relative"]
+    energy = {loss: float(pyramid.levels[2].svbrdf.specular.mean()) for loss, pyramid in pyramids.items()}
+    assert energy["l2"] < energy["relative"]
+
+
+@pytest.mark.parametrize("loss", ["relative", "l1"])
+def test_every_loss_finds_a_lobe_that_fits_exactly(loss):
+    base = surface(slopes=(0.3, -0.2), alpha=0.2, model="ggx")
+    base.log_roughness[:] += np.float32(1e-3) * np.random.default_rng(0).normal(size=(8, 8, 1)).astype(np.float32)
+    for level in check(bake(base, loss=loss)).levels:
+        assert errors(base, level).max() < 1e-5
+
+
+@pytest.mark.parametrize("loss", ["l2", "relative", "l1"])
+def test_scaling_the_colour_scales_the_answer_under_every_loss(loss):
+    base = surface(spread=0.2, alpha=0.15)
+    dim = base.replace(specular=base.specular * np.float32(0.25))
+    for one, other in zip(bake(base, loss=loss).levels, bake(dim, loss=loss).levels, strict=True):
+        np.testing.assert_allclose(0.25 * one.svbrdf.specular, other.svbrdf.specular, rtol=2e-3)
+        np.testing.assert_allclose(one.svbrdf.normal, other.svbrdf.normal, atol=2e-3)
+
+
+def test_an_unknown_loss_is_named_with_the_nearest():
+    with pytest.raises(UnknownNameError, match="l1"):
+        bake(surface(), loss="l3")
