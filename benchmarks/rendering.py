@@ -29,8 +29,9 @@ def measure_rendering(materials: Path, quick: bool) -> Section:
         "rendering",
         "Rendering",
         f"Pictures of {_PIXELS[1]}x{_PIXELS[0]} under four small lights, or in the studio that ships; seconds a "
-        "megapixel of picture, all cores, box filter, standard samples; noise is the reference's own SNR. Shares of terms: time "
-        "of the far reference (fixed samples) with all terms minus time without one, over the time with all.",
+        "megapixel of picture, all cores, box filter, standard samples; noise is the reference's own SNR. Shares of "
+        "terms: time of the far reference (fixed samples) with all terms minus time without one, over the time with "
+        "all.",
     )
     sets: dict[str, Path | None] = {"hammered-metal": None}
     real = real_sets(materials)

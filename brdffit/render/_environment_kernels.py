@@ -83,7 +83,7 @@ def shade_directions(block, count, view, directions, sums):
         square = h_x * h_x + h_y * h_y + h_z * h_z
         per = real(1.0) / np.sqrt(max(square, real(1e-12)))
         x, y, z = n_x[i], n_y[i], n_z[i]
-        # Light straight behind the viewer's ray has no half vector, and nothing is reflected: any will do but (0, 0, 0).
+        # Light from straight behind has no half vector, and nothing is reflected; (0, 0, 0) would divide 0 by 0.
         some = square > real(1e-8)
         h_x, h_y, h_z = h_x * per if some else x, h_y * per if some else y, h_z * per if some else z
         lobe, _ = reflect(

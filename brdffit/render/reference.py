@@ -78,8 +78,9 @@ SAMPLES = {
     "standard": Samples(35.0, Budget(256, 16, 4096), 6e8, 0.25),
     "fine": Samples(45.0, Budget(1024, 64, 16384), 1e10, 0.25),
 }
-#: What it costs to make a sample, in units of shading one.
-_FILL_COST = 8.0
+#: What it costs to make a sample, and to shade one from two directions of an environment, in units of shading it under
+#: a few lights.
+_FILL_COST, _ENVIRONMENT_COST = 16.0, 6.0
 _PILOT_PIXELS = 768
 
 #: Under an environment: samples of a footprint at least, and blocks of directions of either kind for one lobe.
@@ -170,7 +171,7 @@ def render_halves(
         pilot = _average(packed, _some_pixels(scene), passes, chosen, budget, threads, None)
         # Independent samples: a quarter of the noise power wants four times as many.
         missing = 2.0 ** math.ceil((preset.noise_db - min(pilot.noise_db, 99.0)) / (10.0 * math.log10(2.0)))
-        paid = preset.cost / _cost(scene, base.wrap == "tile", preset.budget)
+        paid = preset.cost / _cost(scene, base.wrap == "tile", preset.budget, environment is not None)
         budget = preset.budget.times(max(min(max(missing, 1.0), paid), preset.least), least)
     return _average(packed, scene, passes, chosen, budget, threads, progress)
 
@@ -209,12 +210,13 @@ def _average(
     return Reference(halves.mean(axis=0), halves)
 
 
-def _cost(scene: Scene, tile: bool, budget: Budget) -> float:
-    """Samples that a picture shades with this budget, and those that it makes times ``_FILL_COST``."""
+def _cost(scene: Scene, tile: bool, budget: Budget, around: bool) -> float:
+    """What a picture costs with this budget, in samples shaded; ``around``: under an environment."""
     pixels = _Pixels(scene)
     footprints = group_footprints(pixels.centre, pixels.axes, scene.base_size, tile)
     samples = 2.0 * sample_count(footprints.place, budget).prod(axis=1)
-    return float(samples @ (np.diff(footprints.starts) + _FILL_COST)) + 1.0
+    shading = _ENVIRONMENT_COST if around else 1.0
+    return float(samples @ (shading * np.diff(footprints.starts) + _FILL_COST)) + 1.0
 
 
 def _some_pixels(scene: Scene) -> Scene:
