@@ -30,7 +30,7 @@ from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 #: Points along each side of the picture.
-SIDE = 80
+SIDE = 64
 #: Nodes of the rule, and samples of the footprint along an axis.
 _NODES, _SAMPLES = 2048, (32, 128)
 #: How far the picture reaches beyond the path: a factor of alpha, lobe widths of the normal.

@@ -122,7 +122,10 @@ def landscape_figure(landscape: Any, title: str) -> Any:
         figure = MatplotlibFigure(figsize=(7.4, 5.2), layout="constrained")
         axis = figure.add_subplot()
         shown = np.log1p(landscape.error)
-        image = axis.pcolormesh(landscape.roughness, landscape.angle, shown, cmap="viridis", shading="gouraud")
+        # As pixels in an SVG too: browsers add up the colours of its shaded triangles.
+        image = axis.pcolormesh(
+            landscape.roughness, landscape.angle, shown, cmap="viridis", shading="gouraud", rasterized=True
+        )
         axis.contour(landscape.roughness, landscape.angle, shown, levels=14, colors="white", linewidths=0.5, alpha=0.6)
         path = landscape.path
         axis.plot(path[:, 0], path[:, 1], color="#ffffff", linewidth=2.6)
