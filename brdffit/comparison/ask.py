@@ -21,7 +21,7 @@ class Ask:
         pixels: side of the pictures.
         frames: of the slow rotation.
         texels: random texels of a level that are measured.
-        pairs: of light and viewer at each of them.
+        pairs: of light and viewer at each of them; few of them meet the peak of a sharp lobe.
         lobes: texels whose lobes are shown, at each of three levels.
         samples: preset of the reference.
         environment: an equirectangular picture in linear radiance (.hdr, .exr), or None for the one that ships.
@@ -33,7 +33,7 @@ class Ask:
     pixels: int = 192
     frames: int = 128
     texels: int = 64
-    pairs: int = 64
+    pairs: int = 1024
     lobes: int = 5
     samples: str = "standard"
     environment: str | None = None
@@ -60,7 +60,7 @@ class Ask:
             get_method(name)
         small: dict[str, Any] = {}
         if quick:
-            small = {"pixels": 96, "frames": 32, "texels": 16, "pairs": 32, "lobes": 3, "samples": "draft"}
+            small = {"pixels": 96, "frames": 32, "texels": 16, "pairs": 256, "lobes": 3, "samples": "draft"}
             options = {"quality": "draft"} | options
         return cls(
             methods=names, environment=environment, reading=reading or {}, options=bake_options(None, options), **small

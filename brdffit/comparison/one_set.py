@@ -171,7 +171,11 @@ class SetWork:
         return {name: found[name] for name in level}
 
     def _pairs(self, pyramids: Pyramids) -> list[dict[str, float]]:
-        """Per level and method the SNR in dB of the whole BRDF over random pairs of light and viewer."""
+        """Per level and method the SNR in dB of the whole BRDF over random pairs of light and viewer.
+
+        Many pairs with few samples of the footprint each: the samples' noise averages out of ``pair_errors``, and which
+        pairs meet a highlight is by far the larger chance.
+        """
         figures = []
         options = self.ask.options
         for k in range(_depth(pyramids)):
@@ -180,7 +184,7 @@ class SetWork:
             for names in _by_model({name: levels[k] for name, levels in pyramids.items()}):
                 errors, power = pair_errors(
                     self.base, [pyramids[name][k] for name in names], columns, rows, pairs=self.ask.pairs, seed=k,
-                    terms=Terms(), pixel_filter=options.pixel_filter, samples=self.ask.samples,
+                    terms=Terms(), pixel_filter=options.pixel_filter, samples="draft",
                     threads=options.threads,
                 )  # fmt: skip
                 of_level |= dict(zip(names, map(capped, metrics.snr_of_errors(errors, power).tolist()), strict=True))
