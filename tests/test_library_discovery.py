@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from library_support import write_maps
 
+from brdffit.baking import bake_to_folder
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.library.bake import open_set
 from brdffit.library.discovery import find_sets
-from brdffit.library.run import run_library
 from brdffit.library.settings import Overrides, read_settings, split_options
 from brdffit.library.task import Found, Task
 from brdffit.methods import BakeOptions
@@ -145,7 +145,7 @@ def test_colours_alone_are_a_set_that_lacks_something_and_other_pictures_are_non
 def test_outputs_hidden_folders_and_loops_are_passed_over(tmp_path):
     write_maps(tmp_path / "set")
     write_maps(tmp_path / ".cache" / "set")
-    run_library(tmp_path, tmp_path / "out", method="naive", levels=1, workers=1)
+    bake_to_folder(tmp_path / "set", tmp_path / "out", method="naive", levels=1, preview=False)
     assert (tmp_path / "out" / "set" / "manifest.json").is_file()
     os.symlink(tmp_path, tmp_path / "loop")
     assert keys(tmp_path) == ["set"]

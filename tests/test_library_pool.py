@@ -132,9 +132,9 @@ def test_a_set_with_no_room_on_this_machine_is_told_and_the_rest_is_baked(tmp_pa
     write_maps(tmp_path / "in" / "giant", size=64)
     overhead = pool.core_count() * pool.BYTES_PER_WORKER
     memory = overhead + 1024 * BYTES_PER_TEXEL
-    summary = run_library(tmp_path / "in", tmp_path / "out", method="lean", levels=1, memory=memory)
-    assert set(summary.failures) == {"giant"} and len(summary.outcomes) == 2
-    assert "is 64x64 and needs about" in summary.failures["giant"]
+    plan = run_library(tmp_path / "in", tmp_path / "out", dry_run=True, memory=memory).plan
+    assert set(plan.failures) == {"giant"} and set(plan.reasons) == {"deep/set0", "set1"}
+    assert "is 64x64 and needs about" in plan.failures["giant"]
 
 
 @pytest.fixture
@@ -146,6 +146,7 @@ def with_odd_one(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_replaced_and_its_set_tried_again(with_odd_one):
     summary = run_library(with_odd_one / "in", with_odd_one / "out", method="library_support:DiesOnce", workers=2)
     assert not summary.failures and len(summary.outcomes) == 4
@@ -159,6 +160,7 @@ def test_a_set_that_kills_its_workers_is_set_aside(with_odd_one):
     assert len(summary.outcomes) == 4 and not list((with_odd_one / "out").rglob(".*"))
 
 
+@pytest.mark.slow
 def test_an_error_of_the_program_stops_one_set_alone(with_odd_one):
     summary = run_library(with_odd_one / "in", with_odd_one / "out", method="library_support:Fails", workers=2)
     assert set(summary.failures) == {"odd"}
@@ -189,7 +191,11 @@ needs_proc = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="ch
 
 
 @needs_proc
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL], ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGTERM, *(pytest.param(each, marks=pytest.mark.slow) for each in (signal.SIGINT, signal.SIGKILL))],
+    ids=lambda number: number.name,
+)
 def test_no_worker_outlives_its_run_and_only_whole_sets_are_left(tmp_path, number):
     make_library(tmp_path / "in", count=60, size=16)
     process = start(tmp_path)
