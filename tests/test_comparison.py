@@ -7,7 +7,7 @@ from report_support import comparison as handmade
 
 from brdffit.cli import main
 from brdffit.comparison import views
-from brdffit.comparison.ask import Ask
+from brdffit.comparison.ask import Ask, variant
 from brdffit.comparison.compare import _environment, _free_name, _name, compare
 from brdffit.comparison.lobes import SIDE, lobe_view, representative_texels, same_place
 from brdffit.comparison.maps import TILE, map_strip
@@ -156,6 +156,14 @@ def test_what_is_asked():
     assert Ask.of(quick=True).options.quality == "draft"
     with pytest.raises(UnknownNameError, match="naive"):
         Ask.of(methods=["naiv"])
+    with pytest.raises(UnknownNameError, match="did you mean 'held'"):
+        Ask.of(methods=["bfgs+hold"])
+
+
+def test_a_variant_is_the_method_with_another_option():
+    method, options = variant("bfgs+held+isotropic", BakeOptions(quality="draft"))
+    assert method.name == "bfgs"
+    assert options == BakeOptions(quality="draft", specular="held", lobe="isotropic")
 
 
 def studio():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -9,7 +10,7 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from brdffit.baking import bake_options
-from brdffit.methods import BakeOptions, get_method
+from brdffit.methods import BakeOptions, Method, get_method, one_of
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class Ask:
     """What is compared, and how closely.
 
     Attributes:
-        methods: their names, in the order of the tables; empty takes all that are installed.
+        methods: their names, in the order of the tables, see ``variant``; empty takes all that are installed.
         pixels: side of the pictures.
         frames: of the slow rotation.
         texels: random texels of a level that are measured.
@@ -57,7 +58,7 @@ class Ask:
         """
         names = tuple(dict.fromkeys(name for each in methods for name in each.split(",") if name))
         for name in names:
-            get_method(name)
+            variant(name, BakeOptions())
         small: dict[str, Any] = {}
         if quick:
             small = {"pixels": 96, "frames": 32, "texels": 16, "pairs": 256, "lobes": 3, "samples": "draft"}
@@ -65,6 +66,27 @@ class Ask:
         return cls(
             methods=names, environment=environment, reading=reading or {}, options=bake_options(None, options), **small
         )
+
+
+#: Words that may follow a method's name after "+": the same method with another option.
+VARIANTS: dict[str, dict[str, Any]] = {
+    "held": {"specular": "held"},
+    "free": {"specular": "free"},
+    "isotropic": {"lobe": "isotropic"},
+    "mean": {"normal": "mean"},
+}
+
+
+def variant(name: str, options: BakeOptions) -> tuple[Method, BakeOptions]:
+    """The method that a name such as "bfgs" or "bfgs+held" stands for, and the options it bakes with.
+
+    Raises:
+        UnknownNameError: for a method or a variant that does not exist.
+    """
+    method, *words = name.split("+")
+    for word in words:
+        options = dataclasses.replace(options, **VARIANTS[one_of("variant of a method", word, tuple(VARIANTS))])
+    return get_method(method), options
 
 
 class Listener(Protocol):

@@ -11,11 +11,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from brdffit.comparison.ask import Ask, Listener, PictureFiles
+from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
 from brdffit.comparison.one_set import SetWork, fit_of
 from brdffit.comparison.views import Studio
 from brdffit.errors import InputError
-from brdffit.methods import get_method, method_names
+from brdffit.methods import method_names
 from brdffit.render.environment import Environment, procedural_environment
 from brdffit.report.records import (
     Comparison,
@@ -73,7 +73,8 @@ def compare(
             "samples": ask.samples,
         },
         methods=[
-            MethodInfo(name=name, summary=get_method(name).summary, fit=name == fit_of(methods)) for name in methods
+            MethodInfo(name=name, summary=variant(name, ask.options)[0].summary, fit=name == fit_of(methods))
+            for name in methods
         ],
         sets=results,
         seconds=time.perf_counter() - began,

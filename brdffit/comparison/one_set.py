@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.comparison.ask import Ask, Listener, PictureFiles
+from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
 from brdffit.comparison.lobes import lobe_view, model_of, representative_texels, same_place
 from brdffit.comparison.maps import map_strip
 from brdffit.comparison.views import SMALL_LIGHTS, Pyramids, Studio, all_views, distances_of
@@ -19,7 +19,7 @@ from brdffit.fitting.batch import model_kernels
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import Measured, measure, random_texels, snr
-from brdffit.methods import Pyramid, get_method
+from brdffit.methods import Pyramid
 from brdffit.render import metrics, scenes
 from brdffit.render.pairs import pair_errors
 from brdffit.render.terms import Terms
@@ -128,9 +128,8 @@ class SetWork:
         """Pyramids and seconds by method; a method that cannot is noted with its sentence."""
         baked: dict[str, Pyramid] = {}
         seconds: dict[str, float] = {}
-        options = self.ask.options
         for number, name in enumerate(self.methods):
-            method = get_method(name)
+            method, options = variant(name, self.ask.options)
             prepare = getattr(method, "prepare", None)
             if prepare is not None:
                 with self._phase("compiling"):
