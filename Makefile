@@ -8,13 +8,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install data bake library compare picture test test-slow bench bench-full lint clean
+.PHONY: help install data bake library compare tradeoff picture test test-slow bench bench-full lint clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make bake [SET=folder] [OUT=out] [OPTIONS=...]  bake a texture set and show the picture"
 	@echo "make library [LIB=folder] [OUT=out]             bake every texture set below a folder, with an index page"
 	@echo "make data        make the shipped texture sets in data/sets"
+	@echo "make tradeoff    [SETS=\"folder ...\"]  what accuracy costs in time: tradeoff/tradeoff.png"
 	@echo "make compare     [SETS=\"folder ...\"]  every method against the reference, on the shipped sets: report/index.html"
 	@echo "make test        the tests; make test-slow runs those that take long"
 	@echo "make bench       speed and accuracy, the short way; make bench-full takes its time"
@@ -45,6 +46,9 @@ bake: install $(if $(filter data/sets/%,$(SET)),data/sets/made)
 
 compare: data/sets/made
 	$(BIN)/brdffit compare $(or $(SETS),data/sets/*/) -o report $(OPTIONS)
+
+tradeoff: data/sets/made
+	$(BIN)/brdffit tradeoff $(or $(SETS),data/sets/*/) -o tradeoff $(OPTIONS)
 
 library: install $(if $(filter data/sets%,$(LIB)),data/sets/made)
 	$(BIN)/brdffit library "$(LIB)" -o "$(OUT)/library" $(OPTIONS)

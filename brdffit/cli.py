@@ -252,6 +252,21 @@ def inspect(context: click.Context, source: str, **options: Any) -> None:
 
 
 @main.command()
+@click.argument("sources", metavar="SET...", nargs=-1, required=True)
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("tradeoff"), help="Folder to write.")
+@click.option("--quick", is_flag=True, help="Few texels: a minute a set, and figures that wobble.")
+def tradeoff(sources: tuple[str, ...], output: Path, quick: bool) -> None:
+    """Measure what accuracy costs in time: every method, model, preset and optimiser on the same texels.
+
+    SET is a folder of textures, or a .gltf, .glb or .mtlx file.
+    """
+    from brdffit.tradeoff.command import run, show
+
+    command = " ".join(["brdffit tradeoff", *sources, *(["--quick"] if quick else [])])
+    show(run(sources, output, quick, command), output)
+
+
+@main.command()
 @click.option("--plain", is_flag=True, help="One name a line, for scripts.")
 def methods(plain: bool) -> None:
     """List the methods."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -10,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.fitting.batch import ModelKernels, Output, fit_texels, make_output, model_kernels
+from brdffit.fitting.batch import LevelRules, ModelKernels, Output, fit_texels, make_output, model_kernels
 from brdffit.fitting.method import level_rules, search_settings, tolerant
 from brdffit.fitting.presets import Quality, quality_of
+from brdffit.fitting.texel import Search
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
@@ -61,17 +63,31 @@ class LevelSample:
         """Kernels of the base's and the level's model."""
         return model_kernels(self.source.name, self.target.name, float_width)
 
-    def fit(
-        self, options: BakeOptions | None = None, quality: Quality | None = None, float_width: int = 32
-    ) -> tuple[Lobes, Output]:
-        """The lobes of these texels, and all that the fit says of them. ``quality`` overrides the named preset."""
+    def subset(self, count: int) -> LevelSample:
+        """The first ``count`` texels."""
+        few = copy.copy(self)
+        few.columns, few.rows = self.columns[:count], self.rows[:count]
+        return few
+
+    def settings(self, options: BakeOptions | None = None, quality: Quality | None = None) -> tuple[LevelRules, Search]:
+        """How this level is sampled and searched; under a tolerance it costs a few hundred fits to know."""
         options = options or self.options
         chosen = quality or quality_of(options)
         pixel_filter = get_pixel_filter(options.pixel_filter)
         rules = level_rules(pixel_filter, self.base_size, self.size, self.mip_level, chosen)
         search = search_settings(options, chosen, self.base, self.source, self.target)
+        return rules, tolerant(search, options, self.base, rules, self.size, self.mip_level, self.kernels())
+
+    def fit(
+        self, options: BakeOptions | None = None, quality: Quality | None = None, float_width: int = 32,
+        settings: tuple[LevelRules, Search] | None = None,
+    ) -> tuple[Lobes, Output]:  # fmt: skip
+        """The lobes of these texels, and all that the fit says of them.
+
+        ``quality`` overrides the preset of the options, ``settings`` what ``settings()`` would find.
+        """
+        rules, search = settings or self.settings(options, quality)
         output, kernels = make_output(len(self)), self.kernels(float_width)
-        search = tolerant(search, options, self.base, rules, self.size, self.mip_level, kernels)
 
         def work(part: slice) -> None:
             own = Output(*(array[part] for array in output))

@@ -70,11 +70,11 @@ class Problem:
         self.setting = np.array([0.0, 0.0, search.log_low, search.log_high, search.shape_low, search.shape_high])
         self.evaluations = 0
         # Typed by the functions themselves: unboxing a value of function type costs 150 microseconds a call.
-        self._evaluate = _entry(
+        self._evaluate = compiled(
             evaluate, (self.gradient, self.nodes, self.setting, kernels.moments, kernels.log_normalisation,
                        self.gradient, self.scratch),
         )  # fmt: skip
-        self._settle = _entry(
+        self._settle = compiled(
             settle_scale, (self.gradient, self.nodes, self.setting, kernels.values, kernels.log_normalisation,
                            self.values, search.exponent, self.work, self.report),
         )  # fmt: skip
@@ -86,7 +86,7 @@ class Problem:
         if self._tabulate is None or base is not self._base:
             data = (base, self.strata, self.points, 0, 0, self.search.exponent, self.lobes, self.nodes, self.work)
             functions = (quadrature.tabulate_type(types.float32), objective.log_normalisation_type)
-            self._tabulate, self._base = _entry(target_table, data, functions), base
+            self._tabulate, self._base = compiled(target_table, data, functions), base
         red, green, blue, norm = self._tabulate(
             base, self.strata, self.points, int(column), int(row), self.search.exponent, self.lobes, self.nodes,
             self.work, self.kernels.tabulate, self.kernels.source_log_normalisation,
@@ -146,7 +146,7 @@ class Problem:
         return theta
 
 
-def _entry(kernel: Any, data: tuple, functions: tuple = ()) -> Callable:
+def compiled(kernel: Any, data: tuple, functions: tuple = ()) -> Callable:
     """The compiled function for arguments like these (and functions of these types): no dispatch is paid a call."""
     signature = (*map(numba_type, data), *functions)
     if signature not in kernel.overloads:

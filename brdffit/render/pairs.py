@@ -36,6 +36,7 @@ def pair_errors(
     pixel_filter: str = "box",
     samples: int | str | None = None,
     threads: int | None = None,
+    size: tuple[int, int] | None = None,
 ) -> tuple[NDArray, NDArray]:
     """Mean squared error of M versions of one level at n texels, over random pairs of light and viewer.
 
@@ -53,6 +54,7 @@ def pair_errors(
         pixel_filter: of the truth.
         samples: of a footprint: "draft", "standard", "fine" or their number.
         threads: worker threads; the result does not depend on it.
+        size: (height, width) of the level where ``levels`` hold these texels alone, as (n, 1) images in their order.
 
     Returns:
         (M, n) float64 squared errors, the sum over colour channels; (n,) float64 squared reference. The SNR over a
@@ -62,9 +64,11 @@ def pair_errors(
     if not isinstance(samples, int):
         samples = SAMPLES[one_of("number of samples", samples or "standard", tuple(SAMPLES))]
     budget = Budget.of(samples)
-    size, model = levels[0].size, get_model(levels[0].model)
+    model = get_model(levels[0].model)
     packed, loop = pack_base(base), pair_loop()
     columns, rows = np.asarray(columns, np.int64), np.asarray(rows, np.int64)
+    lobes_at = (columns, rows) if size is None else (np.zeros(len(columns), np.int64), np.arange(len(columns)))
+    size = size or levels[0].size
     scale = base.size[1] / size[1], base.size[0] / size[0]
     place = np.zeros((len(columns), 6))
     place[:, 0], place[:, 1] = (columns + 0.5) * scale[0], (rows + 0.5) * scale[1]
@@ -73,7 +77,7 @@ def pair_errors(
     rule = strata_rule(get_pixel_filter(pixel_filter), *sample_count(place[:1], budget)[0].tolist())
     view, light = _directions(np.random.default_rng(seed), len(columns), pairs)
     weight = np.full(view.shape[:2], 1.0 / pairs)
-    lobes = _lobes(levels, columns, rows, model.log_normalisation)
+    lobes = _lobes(levels, lobes_at[0], lobes_at[1], model.log_normalisation)
     error, square = np.zeros((len(levels), len(columns))), np.zeros(len(columns))
     log_normalisation, shade = shading_kernels(base.model, terms)
     other_shade = shading_kernels(model.name, terms)[1]

@@ -1,0 +1,177 @@
+"""The share of the machine that the kernels and the whole bake reach: operations counted, peak measured in one run."""
+
+from __future__ import annotations
+
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.materials import NAMED, load_any, real_sets
+from benchmarks.record import Section, Target
+from brdffit._jit import kernel
+from brdffit.fitting.batch import model_kernels
+from brdffit.fitting.presets import get_quality
+from brdffit.fitting.sampling import LevelSample
+from brdffit.halfangle.apparent_lobe import gather_lobes
+from brdffit.halfangle.measure import random_texels
+from brdffit.halfangle.quadrature import LOBE_COLUMNS, NODE_ROWS
+from brdffit.models import model_names
+from brdffit.svbrdf import level_sizes
+from brdffit.tradeoff.ways import fixed_nodes
+
+# Operations a node, an exponential or a division counted as one. Moments: 15 for u, v and c; 3 + 1 for q and C; 5 for
+# GGX and its derivatives; 36 for the products and sums of the target and of the lobe; 5 products shared by both.
+MOMENT_FLOP = 65
+# A base lobe at a node: 5 for the chord, 6 for sin^2, cos, q and C, 3 for GGX, 5 for the sums (grey, isotropic).
+TABLE_FLOP = 19
+_NODES, _ACCUMULATORS = 512, 256
+KERNEL_SHARE, BAKE_SHARE = 0.30, 0.15
+_SLOWER = 2.0
+
+
+@kernel
+def _multiply_add(x, rounds):
+    """Chains of a = a * m + c, independent of each other: as many as the registers hold, and none waits for memory."""
+    m, c = np.float32(0.999), np.float32(1e-3)
+    for _ in range(rounds):
+        for i in range(x.size):
+            x[i] = x[i] * m + c
+            x[i] = x[i] * m + c
+            x[i] = x[i] * m + c
+            x[i] = x[i] * m + c
+            x[i] = x[i] * m + c
+            x[i] = x[i] * m + c
+            x[i] = x[i] * m + c
+            x[i] = x[i] * m + c
+
+
+def measure_roofline(materials: Path, quick: bool) -> Section:
+    """Peak of multiply-adds, kernels of every model, and the fit of a level, in one run."""
+    section = Section(
+        "roofline",
+        "Roofline",
+        "Float32 operations a second. Peak: chains of multiply-adds that stay in registers and the first cache. "
+        f"Moments: value and gradient of the objective, {MOMENT_FLOP} operations a node for GGX (the same count is put "
+        f"down for every model, so its column of shares compares times). Bake: {MOMENT_FLOP} a node and evaluation and "
+        f"{TABLE_FLOP} a lobe and node, over the time of everything else too. Kernels on one thread, the bake on all.",
+    )
+    single, full = _peak(1), _peak(os.cpu_count() or 1)
+    section.rows.append(_row("peak, one thread", single, 1.0))
+    section.rows.append(_row("peak, all threads", full, 1.0))
+    nodes_a_second = {name: _moments(name) for name in model_names()}
+    for name, rate in nodes_a_second.items():
+        section.rows.append(_row(f"moments, {name}", MOMENT_FLOP * rate, MOMENT_FLOP * rate / single))
+    table = _table()
+    section.rows.append(_row("table, ggx", TABLE_FLOP * table, TABLE_FLOP * table / single))
+    shares = []
+    real = real_sets(materials)
+    for name in ["hammered-metal", *([] if quick else [each for each in NAMED[:2] if each in real])]:
+        svbrdf = load_any(name, real.get(name), 1024)
+        if isinstance(svbrdf, str):
+            section.problems.append(f"{name}: {svbrdf}")
+            continue
+        for mip_level in (1, 3):
+            flop_rate = _bake(svbrdf, mip_level)
+            shares.append(flop_rate / full)
+            section.rows.append(_row(f"bake, {name}, level {mip_level}", flop_rate, flop_rate / full))
+    ggx = MOMENT_FLOP * nodes_a_second["ggx"] / single
+    slowest = min(nodes_a_second, key=lambda name: nodes_a_second[name])
+    ratio = nodes_a_second["ggx"] / nodes_a_second[slowest]
+    section.targets = [
+        Target("moments of GGX, share of the peak", f">= {KERNEL_SHARE}", f"{ggx:.2f}", ggx >= KERNEL_SHARE),
+        Target("bake, share of the peak", f">= {BAKE_SHARE}", f"worst {min(shares, default=0):.3f}",
+               min(shares, default=0) >= BAKE_SHARE),
+        Target("slowest model, times GGX", f"<= {_SLOWER}", f"{ratio:.2f} ({slowest})", ratio <= _SLOWER),
+    ]  # fmt: skip
+    return section
+
+
+def _row(what: str, rate: float, share: float) -> dict[str, object]:
+    return {"what": what, "Gflop/s": rate / 1e9, "share of peak": share}
+
+
+def _best(work, repeats: int = 5) -> float:  # type: ignore[no-untyped-def]
+    """Least seconds of a few runs."""
+    took = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        took.append(time.perf_counter() - start)
+    return min(took)
+
+
+def _peak(threads: int) -> float:
+    rounds = 200_000
+    chains = [np.ones(_ACCUMULATORS, np.float32) for _ in range(threads)]
+    _multiply_add(chains[0], 1)
+
+    def work() -> None:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(lambda x: _multiply_add(x, rounds), chains))
+
+    return threads * rounds * _ACCUMULATORS * 16 / _best(work)
+
+
+def _moments(model: str) -> float:
+    """Nodes a second of value and gradient."""
+    kernels = model_kernels(model, model)
+    nodes = np.random.default_rng(0).uniform(0.1, 1.0, (NODE_ROWS, _NODES)).astype(np.float32)
+    frame, out = np.array([2.0, 0, 0, 0, 2.0, 0, 0, 0, 1.0]), np.zeros(18)
+    calls = 20_000
+
+    repeat = _repeat_moments(kernels.moments, nodes, frame, out)
+    return calls * _NODES / _best(lambda: repeat(calls))
+
+
+@kernel
+def _many_moments(moments, nodes, frame, shape, out, calls):
+    for _ in range(calls):
+        moments(nodes, frame, shape, out)
+
+
+def _repeat_moments(moments, nodes, frame, out):  # type: ignore[no-untyped-def]
+    arguments = (moments, nodes, frame, np.float32(0.0), out)
+    _many_moments(*arguments, 1)
+    return lambda calls: _many_moments(*arguments, calls)
+
+
+@kernel
+def _many_tables(tabulate, lobes, count, nodes, frame, calls):
+    for _ in range(calls):
+        tabulate(lobes, count, True, True, nodes, frame)
+
+
+def _table() -> float:
+    """Lobes times nodes a second of the apparent lobe's table."""
+    count, calls = 16, 2_000
+    lobes = np.zeros((count + 1, LOBE_COLUMNS))
+    lobes[:, 2] = 1.0
+    lobes[:, 3:5] = 0.04
+    lobes[:, 7:12] = 1.0 / count
+    nodes = np.random.default_rng(0).uniform(0.1, 1.0, (NODE_ROWS, _NODES)).astype(np.float32)
+    arguments = (model_kernels("ggx", "ggx").tabulate, lobes, count, nodes, np.zeros(9))
+    _many_tables(*arguments, 1)
+    return calls * (count + 1) * _NODES / _best(lambda: _many_tables(*arguments, calls))
+
+
+def _bake(svbrdf, mip_level: int) -> float:  # type: ignore[no-untyped-def]
+    """Operations a second of the fit of a level's texels, on all threads."""
+    size = level_sizes(svbrdf.size, mip_level + 1)[mip_level]
+    sample = LevelSample(svbrdf, mip_level, *random_texels(size, 16384 >> (2 * mip_level - 2), seed=5))
+    # One rule for every texel, so that nodes can be counted.
+    quality = fixed_nodes(get_quality("standard"), get_quality("standard").nodes[0])
+    settings = sample.settings(quality=quality)
+    rules, search = settings
+    lobes, moment = np.zeros((rules.room + 1, LOBE_COLUMNS)), np.zeros(9)
+    counts = [
+        gather_lobes(sample.base, rules.strata, search.step, column, row, lobes, moment)[0]
+        for column, row in zip(sample.columns[:500], sample.rows[:500], strict=True)
+    ]
+    _, output = sample.fit(settings=settings)
+    nodes = quality.nodes[0]
+    flop = float(output.evaluations.sum()) * nodes * MOMENT_FLOP
+    flop += len(sample) * float(np.mean(counts)) * nodes * TABLE_FLOP
+    return flop / _best(lambda: sample.fit(settings=settings), repeats=3)

@@ -1,0 +1,132 @@
+"""From texture sets to tradeoff.json, tradeoff.md and the pictures, and what is said on the way."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+
+from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
+from brdffit.textures.atomic import check_writable, replacing
+from brdffit.textures.conversion import to_svbrdf
+from brdffit.textures.manifest import versions
+from brdffit.textures.texture_set import read_texture_set
+from brdffit.tradeoff.drawing import draw
+from brdffit.tradeoff.record import Tradeoff
+from brdffit.tradeoff.run import QUICK, Size, measure_set
+
+_FILES = ("tradeoff.json", "tradeoff.md", "tradeoff.svg", "tradeoff.png")
+
+
+def run(sources: Sequence[str], output: Path, quick: bool, command: str) -> Tradeoff:
+    """Measure all sets and write the folder, all of it or nothing.
+
+    Raises:
+        InputError: for a set that cannot be read.
+        OutputError: when the folder cannot be written, or holds what no trade-off wrote.
+    """
+    check_writable(output, _foreign)
+    size, console, began = QUICK if quick else Size(), Console(stderr=True), time.perf_counter()
+    bases = []
+    for source in sources:
+        texture_set = read_texture_set(source)
+        bases.append((texture_set.name, to_svbrdf(texture_set, min_roughness=DEFAULT_MIN_ROUGHNESS)))
+    points, solvers = [], []
+    with console.status("starting") as status:
+        for name, svbrdf in bases:
+            own_points, own_solvers = measure_set(name, svbrdf, size, status.update)
+            points += own_points
+            solvers += own_solvers
+    machine = {"system": f"{platform.system()} {platform.machine()}", **versions()}
+    found = Tradeoff(command, machine, list(size.texels), points, solvers, round(time.perf_counter() - began, 1))
+    with replacing(output, _foreign) as fresh:
+        (fresh / _FILES[0]).write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=1))
+        (fresh / _FILES[1]).write_text(as_markdown(found), encoding="utf-8")
+        draw(found, fresh)
+    return found
+
+
+def _foreign(folder: Path) -> str | None:
+    """Name of a file that is none of ours, or None."""
+    return next((path.name for path in sorted(folder.iterdir()) if path.name not in _FILES), None)
+
+
+_HEAD = ("set", "group", "way", "s / Mtexel", "SNR dB", "rendered dB", "energy", "front", "s / Mtexel for each dB")
+
+
+def _rows(found: Tradeoff) -> list[tuple[str, ...]]:
+    """One row a point, by set and time."""
+    order = {name: k for k, name in enumerate(dict.fromkeys(point.set for point in found.points))}
+    return [
+        (
+            point.set, point.group, point.name, f"{point.seconds_per_megatexel:.3g}", f"{point.snr_db:.2f}",
+            "" if point.rendered_db is None else f"{point.rendered_db:.2f}", f"{100 * point.energy:.0f}%",
+            "yes" if point.front else "", "" if point.price is None else f"{point.price:.3g}",
+        )
+        for point in sorted(found.points, key=lambda each: (order[each.set], each.seconds_per_megatexel))
+    ]  # fmt: skip
+
+
+_SOLVER_HEAD = ("set", "optimiser", "ms / texel", "dB behind the best, mean", "worst texel", "evaluations")
+
+
+def _solver_rows(found: Tradeoff) -> list[tuple[str, ...]]:
+    return [
+        (
+            each.set,
+            each.name,
+            f"{each.milliseconds:.3g}",
+            f"{each.behind_db:.3f}",
+            f"{each.worst_db:.2f}",
+            f"{each.evaluations:.0f}",
+        )
+        for each in found.solvers
+    ]
+
+
+def as_markdown(found: Tradeoff) -> str:
+    """The tables, and how to make them again."""
+    machine = ", ".join(f"{key} {value}" for key, value in found.machine.items())
+    parts = [
+        f"# What accuracy costs in time\n\nBy `{found.command}` in {found.seconds:.0f} s on {machine}.\n\n"
+        "Seconds per megatexel of the base for levels 0 to 5 (processor seconds over the number of cores; closed "
+        "forms: a whole bake); half-angle SNR, mean of these levels in dB; rendered: SNR of radiance over pairs of "
+        "light and viewer, whole specular BRDF, levels 1, 3 and 5; energy kept; the front: no way to the same end is "
+        "faster and better; what each dB costs that a way on the front has over the one before.\n",
+        _markdown_table(_HEAD, _rows(found)),
+        "\n## Optimisers\n\nOn one table a texel (320 nodes, levels 1 and 3), from the closed-form start; time of the "
+        "search alone.\n",
+        _markdown_table(_SOLVER_HEAD, _solver_rows(found)),
+    ]
+    return "\n".join(parts)
+
+
+def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
+
+
+def show(found: Tradeoff, output: Path) -> None:
+    """The front of each set and the race of the optimisers, on the terminal."""
+    console = Console()
+    for name in dict.fromkeys(point.set for point in found.points):
+        table = Table(title=f"{name}: the front, and the presets", box=None, title_justify="left")
+        for k, head in enumerate(_HEAD[1:]):
+            table.add_column(head, justify="left" if k < 2 else "right")
+        for row in _rows(found):
+            if row[0] == name and (row[7] or row[1] == "preset"):
+                table.add_row(*row[1:], style="bold" if row[1] == "preset" else None)
+        console.print(table)
+    if found.solvers:
+        table = Table(title="Optimisers on one objective", box=None, title_justify="left")
+        for k, head in enumerate(_SOLVER_HEAD):
+            table.add_column(head, justify="left" if k < 2 else "right")
+        for row in _solver_rows(found):
+            table.add_row(*row)
+        console.print(table)
+    console.print(f"{output / _FILES[0]}, {_FILES[1]}, {_FILES[2]}, {_FILES[3]}")

@@ -1,0 +1,164 @@
+"""Measure every way on the same texels: seconds, half-angle SNR, rendered SNR."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import BrdffitError
+from brdffit.fitting.sampling import LevelSample, Lobes
+from brdffit.halfangle.apparent_lobe import Base, base_of
+from brdffit.halfangle.measure import lobe_parameters, random_texels, snr
+from brdffit.methods import BakeOptions, get_method
+from brdffit.models import get_model
+from brdffit.render.pairs import pair_errors
+from brdffit.render.terms import Terms
+from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.tradeoff.front import with_front
+from brdffit.tradeoff.record import Point, Solver
+from brdffit.tradeoff.solvers import SOLVER_LEVELS, race
+from brdffit.tradeoff.ways import FIT, Way, ways
+
+#: tell(what is done now)
+Tell = Callable[[str], object]
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much of a set is looked at: texels of levels 0 to 5 that are timed, and how many of them are measured; texels
+    of a race; nodes, samples and pairs of the truth."""
+
+    timed: tuple[int, ...] = (8192, 8192, 2048, 512, 128, 64)
+    texels: tuple[int, ...] = (512, 512, 384, 192, 96, 64)
+    raced: int = 24
+    nodes: int = 2048
+    samples: tuple[int, int] = (16, 96)
+    pairs: int = 512
+    repeats: int = 2
+
+
+QUICK = Size(
+    (4096, 2048, 512, 96, 32, 16), (96, 96, 64, 32, 16, 16), raced=6, nodes=1024, samples=(16, 48), pairs=128, repeats=1
+)
+#: Levels at which radiance is compared too.
+RENDERED = (1, 3, 5)
+# The diffuse part is the filtered one in every way: a difference there would say nothing of the lobe.
+_TERMS = Terms(diffuse=False)
+_SEED = 77
+
+
+def measure_set(name: str, svbrdf: Svbrdf, size: Size, tell: Tell) -> tuple[list[Point], list[Solver]]:
+    """Points of every way and of every optimiser on one set."""
+    base = base_of(svbrdf, get_model(svbrdf.model).default_shape)
+    sizes = level_sizes(svbrdf.size, len(size.timed))
+    texels = [random_texels(each, size.timed[k], seed=_SEED + k) for k, each in enumerate(sizes)]
+    tried: list[_Tried] = []
+    for way in ways():
+        tell(f"{name}: {way.group}, {way.name}")
+        try:
+            tried.append(_try(way, svbrdf, base, texels, size))
+        except BrdffitError as error:
+            tell(f"{name}: {way.name} is left out. {error}")
+    tell(f"{name}: measuring")
+    _measure(tried, svbrdf, base, [(c[:n], r[:n]) for (c, r), n in zip(texels, size.texels, strict=False)], size)
+    tell(f"{name}: optimisers")
+    raced = [LevelSample(svbrdf, k, *texels[k], base=base).subset(size.raced) for k in SOLVER_LEVELS if k < len(sizes)]
+    return with_front([each.point(name) for each in tried]), race(name, raced)
+
+
+@dataclass
+class _Tried:
+    """What one way gave: lobes of each level's texels, seconds a texel of the base, and figures a level."""
+
+    way: Way
+    seconds: float
+    lobes: list[Lobes]
+    decibels: list[float] = field(default_factory=list)
+    energy: list[float] = field(default_factory=list)
+    rendered: list[float] = field(default_factory=list)
+
+    def point(self, name: str) -> Point:
+        return Point(
+            set=name,
+            group=self.way.group,
+            name=self.way.name,
+            seconds_per_megatexel=self.seconds * 1e6,
+            snr_db=float(np.mean(self.decibels)),
+            rendered_db=float(np.mean(self.rendered)) if self.rendered else None,
+            energy=float(np.mean(self.energy)),
+            levels_db=self.decibels,
+        )
+
+
+def _try(way: Way, svbrdf: Svbrdf, base: Base, texels: Sequence[tuple[NDArray, NDArray]], size: Size) -> _Tried:
+    """Lobes and time of one way. Closed forms are baked whole: they cost by the image, not by the texel."""
+    if way.method != FIT:
+        method, options = get_method(way.method), BakeOptions(levels=len(texels))
+        took = []
+        for _ in range(size.repeats + 1):
+            start = time.perf_counter()
+            pyramid = method.bake(svbrdf, options)
+            took.append(time.perf_counter() - start)
+        versions = [(pyramid[k].svbrdf, at) for k, at in enumerate(texels)]
+        lobes = [Lobes(lobe_parameters(v, *at), v.specular[at[1], at[0]].astype(np.float64)) for v, at in versions]
+        return _Tried(way, min(took) / (svbrdf.size[0] * svbrdf.size[1]), lobes)
+    tried = _Tried(way, 0.0, [])
+    for mip_level, at in enumerate(texels):
+        sample = LevelSample(svbrdf, mip_level, *at, way.options, base=base)
+        lobes_of_level, seconds = _timed(sample, way, size.repeats)
+        tried.lobes.append(lobes_of_level)
+        tried.seconds += seconds * sample.size[0] * sample.size[1] / (svbrdf.size[0] * svbrdf.size[1])
+    return tried
+
+
+def _measure(
+    tried: Sequence[_Tried], svbrdf: Svbrdf, base: Base, texels: Sequence[tuple[NDArray, NDArray]], size: Size
+) -> None:
+    """Fill in the figures: all ways of one lobe model against one truth a texel."""
+    for model in dict.fromkeys(each.way.options.model for each in tried):
+        own = [each for each in tried if each.way.options.model == model]
+        for mip_level, at in enumerate(texels):
+            sample = LevelSample(svbrdf, mip_level, *at, BakeOptions(model=model), base=base)
+            lobes = [Lobes(*(array[: len(at[0])] for array in each.lobes[mip_level])) for each in own]
+            found = sample.measure(lobes, nodes=size.nodes, samples=size.samples)
+            for k, each in enumerate(own):
+                each.decibels.append(min(snr(found.error[k]), 99.0))
+                each.energy.append(float(found.energy[k].mean()))
+            if mip_level in RENDERED:
+                levels = [_as_image(pair, model, svbrdf.wrap) for pair in lobes]
+                error, square = pair_errors(
+                    svbrdf, levels, *at, pairs=size.pairs, terms=_TERMS, samples="draft", size=sample.size
+                )
+                for k, each in enumerate(own):
+                    each.rendered.append(min(10.0 * math.log10(square.sum() / max(error[k].sum(), 1e-30)), 99.0))
+
+
+def _timed(sample: LevelSample, way: Way, repeats: int) -> tuple[Lobes, float]:
+    """Lobes, and the least of a few times in seconds a texel on all cores; the first run compiles and is not timed."""
+    settings = sample.settings(way.options, way.quality)
+    sample.subset(1).fit(float_width=way.float_width, settings=settings)
+    took = []
+    for _ in range(repeats):
+        start = time.process_time()
+        lobes, _ = sample.fit(float_width=way.float_width, settings=settings)
+        took.append((time.process_time() - start) / (os.cpu_count() or 1))
+    return lobes, min(took) / len(sample)
+
+
+def _as_image(lobes: Lobes, model: str, wrap: str) -> Svbrdf:
+    """Lobes of n texels as an image (n, 1)."""
+    theta = lobes.theta
+    normal = np.column_stack([-theta[:, 0], -theta[:, 1], np.ones(len(theta))])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    log_roughness = theta[:, 2:5]
+    normal, log_roughness, specular = (
+        each[:, None].astype(np.float32) for each in (normal, log_roughness, lobes.scale)
+    )
+    shape = theta[:, 5:6].astype(np.float32) if get_model(model).shape_bounds else None
+    return Svbrdf(normal, log_roughness, specular, np.zeros_like(specular), model=model, wrap=wrap, shape=shape)

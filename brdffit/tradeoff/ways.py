@@ -1,0 +1,66 @@
+"""What is tried: each way to a pyramid, or to one texel's lobe, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+from brdffit.fitting.presets import Quality, get_quality
+from brdffit.methods import QUALITIES, BakeOptions, method_names
+from brdffit.models import model_names
+
+TOLERANCES = (0.5, 0.2, 0.1, 0.03)
+NODES = (32, 64, 96, 160, 320, 640, 1280)
+FIT = "bfgs"
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to fit a level.
+
+    Attributes:
+        group: what is varied: method, preset, tolerance, nodes, sampling, model, lobe, loss or float.
+        name: as shown.
+        method: of the registry; all but "bfgs" are timed as a whole bake.
+        options: of the bake.
+        quality: overrides the preset of the options, or None.
+        float_width: of the sums, 32 or 64.
+    """
+
+    group: str
+    name: str
+    method: str = FIT
+    options: BakeOptions = BakeOptions()
+    quality: Quality | None = None
+    float_width: int = 32
+
+
+def ways() -> list[Way]:
+    """All that is tried, the closed forms first."""
+    standard = get_quality("standard")
+    found = [Way("method", name, method=name) for name in method_names() if name not in (FIT, "height")]
+    found += [Way("preset", name, options=BakeOptions(quality=name)) for name in QUALITIES]
+    found += [Way("tolerance", f"{dB:g} dB", options=BakeOptions(tolerance=dB)) for dB in TOLERANCES]
+    found += [Way("nodes", f"{n} nodes", quality=fixed_nodes(standard, n)) for n in NODES]
+    for name in QUALITIES:
+        sampled = dataclasses.replace(get_quality(name), nodes=standard.nodes, tolerance=standard.tolerance,
+                                      trusted=standard.trusted, negligible=standard.negligible,
+                                      starts=standard.starts, iterations=standard.iterations)  # fmt: skip
+        found.append(Way("sampling", f"samples of {name}", quality=sampled))
+    found += [Way("model", name, options=BakeOptions(model=name)) for name in model_names()]
+    found += [
+        Way("lobe", "isotropic", options=BakeOptions(lobe="isotropic")),
+        Way("lobe", "mean normal", options=BakeOptions(normal="mean")),
+        Way("lobe", "isotropic, mean normal", options=BakeOptions(lobe="isotropic", normal="mean")),
+        Way("lobe", "held colour", options=BakeOptions(specular="held")),
+        Way("loss", "relative", options=BakeOptions(loss="relative")),
+        Way("loss", "l1", options=BakeOptions(loss="l1")),
+        Way("float", "64-bit sums", float_width=64),
+    ]
+    return found
+
+
+def fixed_nodes(quality: Quality, nodes: int) -> Quality:
+    """A preset that takes this many nodes for every texel, whatever its error estimate says."""
+    return dataclasses.replace(quality, nodes=(nodes, nodes, nodes), trusted=math.inf)

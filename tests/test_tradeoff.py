@@ -1,0 +1,94 @@
+"""The trade-off: the front by hand, every way on one small set, and what is written."""
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from test_fitting import surface
+
+from brdffit.cli import main
+from brdffit.fitting.sampling import LevelSample
+from brdffit.halfangle.measure import random_texels
+from brdffit.textures.procedural import make_set
+from brdffit.tradeoff import run
+from brdffit.tradeoff.command import as_markdown
+from brdffit.tradeoff.front import with_front
+from brdffit.tradeoff.record import Point, Tradeoff
+from brdffit.tradeoff.solvers import SOLVERS, race
+from brdffit.tradeoff.ways import ways
+
+TINY = run.Size((64, 32, 16, 8, 4, 4), (8, 8, 4, 4, 4, 4), raced=3, nodes=256, samples=(4, 8), pairs=8, repeats=1)
+
+
+def point(seconds, decibels, group="preset", name="p"):
+    return Point("set", group, name, seconds, decibels, None, 1.0, [decibels])
+
+
+def test_the_front_is_what_nothing_dominates_and_prices_are_slopes_along_it():
+    found = with_front([point(4, 12), point(1, 10), point(3, 9), point(2, 11), point(5, 12.001), point(8, 14)])
+    assert [each.front for each in found] == [True, True, False, True, False, True]
+    assert [each.price for each in found] == [2.0, None, None, 1.0, None, 2.0]
+
+
+def test_other_ends_do_not_stand_on_the_front():
+    found = with_front([point(1, 10), point(0.5, 20, "loss"), point(0.5, 20, "model", "beckmann")])
+    assert [each.front for each in found] == [True, False, False]
+
+
+def test_every_way_has_a_name_of_its_own():
+    names = [(way.group, way.name) for way in ways()]
+    assert len(set(names)) == len(names)
+    assert {"preset", "tolerance", "nodes", "model", "float", "method"} <= {group for group, _ in names}
+
+
+def test_optimisers_agree_where_there_is_one_minimum():
+    base = surface(size=(8, 8), spread=0.1)
+    found = race("set", [LevelSample(base, 1, *random_texels((4, 4), 3, seed=0))])
+    assert [each.name for each in found] == list(SOLVERS)
+    # Ours stops when a step promises less than 0.2% of the error: 0.01 dB.
+    assert all(each.behind_db < 0.02 and each.milliseconds > 0 for each in found)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """The command on one shipped set, small and tiny, with fewer ways."""
+    folder = tmp_path_factory.mktemp("tradeoff")
+    source = make_set("hammered-metal", folder / "sets", size=32)
+    chosen = [way for way in ways() if way.name in ("naive", "lean", "draft", "standard", "0.1 dB", "beckmann", "l1")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "ways", lambda: chosen)
+        patch.setattr("brdffit.tradeoff.command.QUICK", TINY)
+        result = CliRunner().invoke(main, ["tradeoff", str(source), "-o", str(folder / "out"), "--quick"])
+    assert result.exit_code == 0, result.output
+    return folder / "out", chosen
+
+
+def test_records_tables_and_pictures_are_written(written):
+    folder, chosen = written
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "tradeoff.json", "tradeoff.md", "tradeoff.png", "tradeoff.svg",
+    ]  # fmt: skip
+    found = msgspec.json.decode((folder / "tradeoff.json").read_bytes(), type=Tradeoff)
+    assert [each.name for each in found.points] == [way.name for way in chosen]
+    for each in found.points:
+        assert each.seconds_per_megatexel > 0 and np.isfinite([each.snr_db, each.rendered_db, each.energy]).all()
+        assert each.snr_db == pytest.approx(np.mean(each.levels_db))
+    text = (folder / "tradeoff.md").read_text()
+    assert all(f"| {way.name} |" in text for way in chosen) and found.command in text
+    assert as_markdown(found) == text
+
+
+def test_fits_are_better_than_closed_forms_and_both_are_on_the_front(written):
+    found = {each["name"]: each for each in json.loads((written[0] / "tradeoff.json").read_text())["points"]}
+    assert found["standard"]["snr_db"] > found["lean"]["snr_db"] > found["naive"]["snr_db"]
+    assert found["standard"]["snr_db"] >= found["l1"]["snr_db"]
+    assert found["lean"]["front"]
+
+
+def test_a_folder_with_other_things_is_left_alone(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    result = CliRunner().invoke(main, ["tradeoff", "nowhere", "-o", str(tmp_path)])
+    assert result.exit_code == 1 and "notes.txt" in result.output
+    assert (tmp_path / "notes.txt").read_text() == "mine"
