@@ -82,6 +82,9 @@ def test_records_are_whole(bumpy):
     assert [each.method for each in result.methods] == ["bfgs", "naive", "vmf"]
     assert sorted(picture_names(found)) == sorted(pictures)
     assert all(picture.dtype == np.uint8 for picture in pictures.values())
+    # A slice in time: pixels of a column down, frames across.
+    assert pictures["pictures/set-1/rotation-bfgs.png"].shape == (SMALL["pixels"], SMALL["frames"], 3)
+    assert pictures["pictures/set-1/near-environment-reference.png"].shape == (10, 10, 3)
     assert {view.group for view in result.views} == {"distance", "motion", "scene"}
     for view in result.views:
         shown = [shot.method for shot in view.shots]
