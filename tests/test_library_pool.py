@@ -218,17 +218,17 @@ def test_no_worker_outlives_its_run_and_only_whole_sets_are_left(tmp_path, numbe
 def test_the_estimate_of_memory_holds(tmp_path, method):
     """Peak of a process that bakes one set, against what the pool reckons with."""
     pytest.importorskip("resource")
-    write_maps(tmp_path / "in" / "large", size=1024)
+    write_maps(
+        tmp_path / "in" / "large", size=1024, roles=("NormalGL", "Color", "Roughness", "AO", "Metallic", "Height")
+    )
     program = (
         "import sys, resource; from pathlib import Path; from brdffit.library import bake, run;"
         "tasks = run._tasks(Path(sys.argv[1]), sys.argv[2], None, {'method': sys.argv[3], 'quality': 'draft'});"
         "task = tasks['large']; bake.warm_up({(sys.argv[3], 'ggx')});"
-        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss; read = bake.read_set(task);"
+        "read = bake.read_set(task);"
         "bake.bake_set(task, read, 1);"
-        "print(before, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
     command = [sys.executable, "-c", program, str(tmp_path / "in"), str(tmp_path / "out"), method]
     result = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
-    before, peak = (1024 * int(number) for number in result.stdout.split())
-    assert before < pool.BYTES_PER_WORKER
-    assert peak - before < 1024 * 1024 * BYTES_PER_TEXEL
+    assert 1024 * int(result.stdout) < pool.BYTES_PER_WORKER + 1024 * 1024 * BYTES_PER_TEXEL

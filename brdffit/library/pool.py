@@ -21,7 +21,7 @@ from brdffit.library import worker as worker_process
 from brdffit.library.task import Outcome, Task
 
 #: Peak memory of a bake: of each texel of level 0, and of a worker as such; a test measures that both are enough.
-BYTES_PER_TEXEL, BYTES_PER_WORKER = 300, 400 << 20
+BYTES_PER_TEXEL, BYTES_PER_WORKER = 240, 400 << 20
 ATTEMPTS = 3
 #: Seconds that a worker has to leave before it is killed.
 _PATIENCE = 10.0
