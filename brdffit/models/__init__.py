@@ -13,6 +13,7 @@ so a model is a profile with its derivatives, and every loop is written once, el
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -55,6 +56,7 @@ def model_names() -> list[str]:
     return sorted(names, key=lambda name: name != "ggx")
 
 
+@cache
 def get_model(name: str) -> Model:
     """The model of this name.
 
