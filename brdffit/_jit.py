@@ -51,9 +51,9 @@ def _use_wide_vectors() -> None:
         os.environ["NUMBA_CPU_FEATURES"] = features.flatten() + ",-prefer-256-bit"
 
 
-# Numba reads these variables at import, so they must come first; the hash goes below whatever folder the user chose.
-_FOLDERS = {group: _cache_folder(group, _cache_root()) for group in _KERNEL_ROOMS}
-os.environ["NUMBA_CACHE_DIR"] = _FOLDERS["fitting"]
+#: Where each room's kernels are kept: the hash goes below whatever folder the user chose.
+CACHE_FOLDERS = {group: _cache_folder(group, _cache_root()) for group in _KERNEL_ROOMS}
+# Numba reads its variables at import.
 _use_wide_vectors()
 
 import numba  # noqa: E402
@@ -68,7 +68,7 @@ _FLAGS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": _FASTMATH, "
 def _compile(function: Callable, **flags: Any) -> Any:
     """A dispatcher whose cache is that of its module's room."""
     group = "render" if function.__module__.startswith("brdffit.render.") else "fitting"
-    numba.config.CACHE_DIR = _FOLDERS[group]  # type: ignore[attr-defined]  # Numba reads it at decoration
+    numba.config.CACHE_DIR = CACHE_FOLDERS[group]  # type: ignore[attr-defined]  # Numba reads it at decoration
     return numba.njit(**flags)(function)
 
 

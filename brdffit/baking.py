@@ -145,8 +145,8 @@ def bake_to_folder(
         manifest = build_manifest(
             pyramid,
             name=name,
-            inputs=_inputs(texture_set),
-            conventions=_conventions(texture_set),
+            inputs=inputs_of(texture_set),
+            conventions=conventions_of(texture_set),
             status_names=STATUS_NAMES,
             measured=measured,
             notes=texture_set.notes if texture_set else (),
@@ -228,7 +228,7 @@ def _svbrdf(texture_set: TextureSet | None, options: BakeOptions) -> Svbrdf:
     return to_svbrdf(texture_set, min_roughness=options.min_roughness)
 
 
-def _inputs(texture_set: TextureSet | None) -> Iterator[tuple[str, Path]]:
+def inputs_of(texture_set: TextureSet | None) -> Iterator[tuple[str, Path]]:
     """(role, path) of every file that was read."""
     if texture_set is not None:
         for role, named in texture_set.maps.items():
@@ -237,7 +237,7 @@ def _inputs(texture_set: TextureSet | None) -> Iterator[tuple[str, Path]]:
             yield "material", texture_set.entry
 
 
-def _conventions(texture_set: TextureSet | None) -> dict[str, Any]:
+def conventions_of(texture_set: TextureSet | None) -> dict[str, Any]:
     """How the inputs were read."""
     if texture_set is None:
         return {}

@@ -110,7 +110,9 @@ def _choice(*names: str) -> dict[str, Any]:
 @click.argument("source", metavar="SET")
 @click.option("--preset", default="plain", callback=_known("preset"), help="Engine that the pictures are for.")
 @click.option("--quality", **_choice("draft", "standard", "fine"), show_default="standard")
-@click.option("--tolerance", type=float, metavar="DB", help="Instead of a quality: dB that a level may stay below best.")
+@click.option(
+    "--tolerance", type=float, metavar="DB", help="Instead of a quality: dB that a level may stay below best."
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out"), help=_OUTPUT_HELP)
 @click.option("--method", default="bfgs", callback=_known("method"), help="See `brdffit methods`; or module:object.")
 @click.option("--model", callback=_known("model"), show_default="ggx", help="See `brdffit models`.")

@@ -110,9 +110,9 @@ def open_set(task: Task) -> TextureSet:
     }
     texture_set = TextureSet(name=found.name, maps=maps, notes=list(named.notes))
     texture_set.wrap, texture_set.height_scale = reading["wrap"], reading["height_scale"]
-    texture_set.maps |= sets._explicit(found.folder, dict(reading["roles"] or {}))
-    sets._normal_y_from_names(texture_set, named)
-    sets._check_sizes(texture_set, found.folder)
+    texture_set.maps |= sets.explicit_roles(found.folder, dict(reading["roles"] or {}))
+    sets.normal_y_from_names(texture_set, named)
+    sets.check_sizes(texture_set, found.folder)
     if not {"normal", "height"} & texture_set.maps.keys():
         files = ", ".join(found.files)
         raise InputError(
@@ -150,8 +150,8 @@ def bake_set(task: Task, read: ReadSet, threads: int) -> Outcome:
         manifest = build_manifest(
             pyramid,
             name=task.found.name,
-            inputs=baking._inputs(read.texture_set),
-            conventions=baking._conventions(read.texture_set),
+            inputs=baking.inputs_of(read.texture_set),
+            conventions=baking.conventions_of(read.texture_set),
             status_names=STATUS_NAMES,
             measured=measured,
             notes=read.texture_set.notes,

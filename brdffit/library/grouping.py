@@ -14,8 +14,7 @@ from pathlib import Path
 
 from brdffit.errors import InputError
 from brdffit.textures.image_io import read_info
-from brdffit.textures.naming import _LETTERS as LETTERS
-from brdffit.textures.naming import NamedSet, name_tokens, roles_from_names
+from brdffit.textures.naming import LETTERS, NamedSet, name_tokens, roles_from_names
 
 #: Tiles are numbered 1001 + u + 10 v; after an underscore the number may be a resolution, and counts with others only.
 _UDIM = re.compile(r"^(?P<rest>.*)(?P<mark>[._])(?P<tile>1[0-9]{3})$")

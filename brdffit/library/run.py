@@ -14,7 +14,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
-from brdffit import _jit
 from brdffit.errors import BrdffitError, InputError
 from brdffit.library.bake import open_set, warm_up
 from brdffit.library.discovery import find_sets
@@ -119,8 +118,6 @@ def run_library(
         InputError: for a root, settings or a scheduler that cannot be used.
         OutputError: when library.json or index.html cannot be written.
     """
-    # Workers inherit the environment: they must find the kernels where this process keeps them.
-    os.environ.setdefault("BRDFFIT_CACHE", str(Path(_jit._FOLDERS["fitting"]).parent))
     address = os.fspath(output) if "://" in os.fspath(output) else str(Path(output).resolve())
     store = open_store(address)
     tell = listener or _Silent()

@@ -149,7 +149,7 @@ class _Folder:
                     Path(parent, name).unlink(missing_ok=True)
             left = {name[1:].partition(".brdffit-")[0] for name in folders if name[0] == "." and ".brdffit-" in name}
             for name in sorted(left):
-                atomic._sweep(Path(parent, name))
+                atomic.sweep(Path(parent, name))
             folders[:] = [name for name in folders if name[0] != "."]
 
 

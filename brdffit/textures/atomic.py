@@ -81,7 +81,7 @@ def replacing(folder: str | Path, is_ours: Callable[[Path], str | None]) -> Iter
     shown, folder = folder, Path(folder).resolve()
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        _sweep(folder)
+        sweep(folder)
         fresh = _sibling(folder, "new")
         with _terminated_as_exit():
             try:
@@ -135,7 +135,7 @@ def _exchange(one: Path, other: Path) -> bool:
     raise OSError(code, os.strerror(code))
 
 
-def _sweep(folder: Path) -> None:
+def sweep(folder: Path) -> None:
     """Remove what killed runs left beside ``folder``; give back an old folder whose replacement never came."""
     prefix = f".{folder.name}.brdffit-"
     for left in sorted(folder.parent.iterdir()):

@@ -38,7 +38,7 @@ _PACKED_PARTS = {
     "roughness": ("r", "rough", "roughness"),
     "metallic": ("m", "metal", "metallic", "metalness"),
 }
-_LETTERS = {
+LETTERS = {
     "d": "base_color",
     "c": "base_color",
     "b": "base_color",
@@ -163,9 +163,9 @@ def roles_from_names(files: Iterable[str], alpha: Iterable[str] = ()) -> NamedSe
         stems[file] = "".join(tokens[: len(tokens) - used])
         if named:
             found += named
-        elif tokens and tokens[-1] in _LETTERS:
+        elif tokens and tokens[-1] in LETTERS:
             stems[file] = "".join(tokens[:-1])
-            letters.append(NamedMap(file, _LETTERS[tokens[-1]], "", tokens[-1]))
+            letters.append(NamedMap(file, LETTERS[tokens[-1]], "", tokens[-1]))
         else:
             nameless.append((file, tokens))
     notes: list[str] = []

@@ -148,7 +148,7 @@ def read_texture_set(
         raise InputError(f"The height scale is {height_scale}, expected a positive number of texels.")
     texture_set = _find_maps(path, dict(roles or {}))
     texture_set.wrap, texture_set.height_scale = wrap, height_scale
-    _check_sizes(texture_set, path)
+    check_sizes(texture_set, path)
     if "normal" not in texture_set.maps and "height" not in texture_set.maps:
         found = ", ".join(f"{named.path.name} ({role})" for role, named in texture_set.maps.items()) or "no known role"
         raise InputError(
@@ -167,7 +167,7 @@ def _find_maps(path: Path, roles: dict[str, str]) -> TextureSet:
         raise InputError(f"'{path}' does not exist, expected a folder of textures or a .gltf, .glb or .mtlx file.")
     if path.is_file():
         texture_set = materials.read_material(path)
-        texture_set.maps |= _explicit(path.parent, roles)
+        texture_set.maps |= explicit_roles(path.parent, roles)
         return texture_set
     try:
         names = sorted(entry.name for entry in os.scandir(path) if entry.is_file() and entry.name[0] != ".")
@@ -178,7 +178,7 @@ def _find_maps(path: Path, roles: dict[str, str]) -> TextureSet:
     if not images and not scenes and not roles:
         what = f"{len(names)} files, none of them an image" if names else "nothing"
         raise InputError(f"'{path}' holds {what}, expected a folder of textures such as Name_NormalGL.png.")
-    explicit = _explicit(path, roles)
+    explicit = explicit_roles(path, roles)
     infos = {name: _header(path / name) for name in images}
     named = roles_from_names(images, [name for name, info in infos.items() if info and len(info.channels) in (2, 4)])
     surface_named = {"normal", "height"} & (named.maps.keys() | explicit.keys())
@@ -205,7 +205,7 @@ def _find_maps(path: Path, roles: dict[str, str]) -> TextureSet:
         ignored=[name for name in images if name not in used],
         notes=list(named.notes),
     )
-    _normal_y_from_names(texture_set, named)
+    normal_y_from_names(texture_set, named)
     return texture_set
 
 
@@ -217,7 +217,7 @@ def _header(path: Path) -> ImageInfo | None:
         return None
 
 
-def _explicit(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
+def explicit_roles(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
     """Maps of an explicit map of roles."""
     maps: dict[str, Map] = {}
     for role, text in roles.items():
@@ -237,7 +237,7 @@ def _explicit(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
     return maps
 
 
-def _normal_y_from_names(texture_set: TextureSet, named: NamedSet) -> None:
+def normal_y_from_names(texture_set: TextureSet, named: NamedSet) -> None:
     normal = named.maps.get("normal")
     if normal is None or normal.file != texture_set.maps["normal"].path.name:
         return
@@ -250,7 +250,7 @@ def _normal_y_from_names(texture_set: TextureSet, named: NamedSet) -> None:
         )
 
 
-def _check_sizes(texture_set: TextureSet, path: Path) -> None:
+def check_sizes(texture_set: TextureSet, path: Path) -> None:
     """Refuse maps that cannot be brought to one size; a map of one texel goes with any other."""
     if not texture_set.maps:
         return

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+
 from hard_cases.catalogue import PAIRS, QUICK, Case
 
 _UNCUT = "the fitted lobe is not cut at its own horizon (n.h > 0): its mirror image serves what a shader never shows"
