@@ -19,6 +19,10 @@ V diag(l1, l2) V', with scaled coordinates u_i = exp(-l_i/2) v_i.x, q = u1^2 + u
   w12 = dt.b, so with g = V'(w13, w23):
   dq = -4 w12 sinh(delta) u1 u2 + 2 sum_i g_i exp(-l_i/2) u_i c,   dC = -2 sum_i g_i exp(l_i/2) u_i c.
 
+- horizon: a lobe is 0 where n.h <= 0. A sum over nodes would jump as one of them crosses that line, so the search sees
+  the lobe times f(c) = x^2 (3 - 2x), x = c / RIM within [0, 1], which adds g f'(c) / (2 c) = 3 g (1 - x) / RIM^2 to the
+  derivative by C. (Values of a lobe, and with them its residual, end sharply.)
+
 So one pass over the nodes gathers a few moments of (u1, u2, c), and the chain rule is done once, outside the loop.
 """
 
@@ -34,6 +38,9 @@ from brdffit.halfangle.quadrature import H_X, H_Y, H_Z, WEIGHT
 from brdffit.models.ggx import profile, profile_gradient  # bound anew for other models
 
 real = np.float32
+
+#: n.h over which the search lets a lobe fade out at its horizon.
+RIM = 0.05
 
 PARAMETERS = 6
 MOMENTS = 18
@@ -59,6 +66,13 @@ def moments(nodes, frame, shape, out):
         v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
         c = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
         g, g_q, g_C, g_s = profile_gradient(u * u + v * v, c * c, shape)
+        # The lobe ends at its own horizon: g(q, C) would go on as a mirror image behind it.
+        x = min(max(c * real(1.0 / RIM), real(0.0)), real(1.0))
+        fade = x * x * (real(3.0) - x - x)
+        g_C = g_C * fade + (g * real(3.0 / (RIM * RIM)) * (real(1.0) - x) if c > real(0.0) else real(0.0))
+        g *= fade
+        g_q *= fade
+        g_s *= fade
         wd = weight[j] * g
         t0 += target[j] * g
         d0 += wd * g
@@ -108,7 +122,7 @@ def lobe_values(theta, nodes, log_normalisation, values, work):
         u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
         v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
         c = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
-        values[j] = amplitude * profile(u * u + v * v, c * c, shape)
+        values[j] = amplitude * profile(u * u + v * v, c * c, shape) if c > real(0.0) else real(0.0)
 
 
 log_normalisation_type = types.FunctionType(types.UniTuple(types.float64, 2)(types.float64))
