@@ -269,6 +269,25 @@ def tradeoff(sources: tuple[str, ...], output: Path, quick: bool) -> None:
 
 
 @main.command()
+@click.argument("source", metavar="SET")
+@click.option("--manifest", metavar="FILE", help="Of a bake of SET: its options and statuses instead of a sample's.")
+@click.option("--json", "as_json", is_flag=True, help="Everything that was found, as JSON.")
+@click.option("--quality", **_choice("draft", "standard", "fine"), show_default="standard")
+@click.option("--model", callback=_known("model"), show_default="ggx", help="See `brdffit models`.")
+@click.option("--specular", **_choice("free", "held"), show_default="free", help="Scale of the lobe.")
+@_reading_options
+def doctor(source: str, manifest: str | None, as_json: bool, **asked: Any) -> None:
+    """Say which hard cases SET holds, where, and what a bake does about them."""
+    from brdffit.console import print_diagnosis
+    from brdffit.doctor import diagnose
+
+    reading = {name: asked.pop(name) for name in ("roles", "normal_y", "wrap", "height_scale")}
+    given = {name: value for name, value in asked.items() if value is not None}
+    diagnosis = diagnose(source, manifest=manifest, reading=reading, **given)
+    click.echo(diagnosis.to_json(), nl=False) if as_json else print_diagnosis(diagnosis)
+
+
+@main.command()
 @click.option("--plain", is_flag=True, help="One name a line, for scripts.")
 def methods(plain: bool) -> None:
     """List the methods."""

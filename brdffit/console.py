@@ -25,6 +25,7 @@ from brdffit.textures.image_io import read_image
 
 if TYPE_CHECKING:
     from brdffit.baking import BakeReport
+    from brdffit.doctor import Diagnosis
     from brdffit.textures.inspection import Inspection
 
 _PHASES = {
@@ -130,6 +131,44 @@ def print_inspection(inspection: Inspection) -> None:
         if sentences:
             console.print(title)
             _print_list(console, sentences)
+
+
+def print_diagnosis(diagnosis: Diagnosis) -> None:
+    """Hard cases with what they mean, what the fit makes of the worst texels and of each level, and what to do."""
+    console = _console()
+    console.print(f"{diagnosis.name}: {diagnosis.width}x{diagnosis.height}, quality {diagnosis.options['quality']}")
+    if diagnosis.findings:
+        table = _table("hard case", "texels", "of level", "worst (x,y)", "there the fit", "dB")
+        for finding in diagnosis.findings:
+            treatment = finding.treatment
+            place = ",".join(map(str, finding.worst[0][1:])) if finding.worst else "-"
+            ended = _statuses(treatment.statuses) if treatment else "-"
+            share = f"{finding.texels:,} ({_share(finding.share)})" if finding.share < 1.0 else "all"
+            decibel = _number(treatment.measured_db if treatment else None, ".1f")
+            table.add_row(finding.case, share, str(finding.level), place, ended, decibel)
+        console.print(table)
+        _print_list(console, [f"{each.case}: {each.meaning}" for each in diagnosis.findings])
+    else:
+        console.print("None of the hard cases was found.")
+    table = _table("level", "size", "texels looked at", "the fit", "dB by the fit", "dB measured", "energy kept")
+    for level in diagnosis.levels:
+        each = level.treatment
+        table.add_row(str(level.level), f"{level.width}x{level.height}", f"{each.texels:,}", _statuses(each.statuses),
+                      _number(each.own_db, ".1f"), _number(each.measured_db, ".1f"),
+                      _number(each.energy_kept, ".0%"))  # fmt: skip
+    console.print(table)
+    _print_list(console, [*diagnosis.advice, *diagnosis.notes])
+
+
+def _share(share: float) -> str:
+    return f"{share:.1%}" if share >= 1e-3 else "<0.1%"
+
+
+def _statuses(counts: dict[str, int]) -> str:
+    """The shares of how texels ended, the commonest first."""
+    total = sum(counts.values())
+    ordered = sorted(counts.items(), key=lambda item: -item[1])
+    return ", ".join(name if count == total else f"{name} {count / total:.0%}" for name, count in ordered)
 
 
 def show_picture(path: Path) -> None:

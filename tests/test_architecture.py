@@ -46,6 +46,8 @@ FORBIDDEN = {
         "brdffit.fitting", "brdffit.halfangle", "brdffit.render", "brdffit.models", "brdffit.svbrdf", "brdffit.methods",
         "brdffit.baking", "brdffit.comparison", "brdffit.landscape", "brdffit.cli",
     },
+    # Data for the console, which prints it.
+    "brdffit.doctor": {"brdffit.render", "brdffit.console", "brdffit.cli", "brdffit.report", "rich", "click"},
     "brdffit.comparison": {"brdffit.cli", "brdffit.library", "brdffit.report.page", "matplotlib", "jinja2"},
     "baselines": {"brdffit.fitting", "brdffit.halfangle", "brdffit.textures", "brdffit.render", "brdffit.cli"},
 }  # fmt: skip

@@ -208,6 +208,14 @@ def _roughness_ends(model: str) -> Svbrdf:
     return base
 
 
+def _rough_noise(model: str) -> Svbrdf:
+    """Flat, roughness at random from the floor to 1: neighbours differ as much as two can."""
+    base = surface(SIZE, slopes=(0.0, 0.0), model=model)
+    alpha = np.minimum(FLOOR * 500.0 ** np.random.default_rng(4).random(SIZE), 0.95)
+    base.log_roughness[..., :2] = 2.0 * np.log(alpha)[..., None]
+    return base
+
+
 def _bright_texel(model: str) -> Svbrdf:
     base = surface(SIZE, colour=(0, 0, 0), model=model)
     base.specular[1, 1] = 1.0
@@ -285,6 +293,8 @@ CASES = (
          lambda model: surface(SIZE, slopes=(0.0, 0.0), alpha=1.0, model=model)),
     Case("roughness from the floor to one", "the mean of alpha is no alpha (alpha^2 of 4e-6 beside 1)",
          _roughness_ends),
+    Case("roughness that jumps from texel to texel", "samples beside the texel's centre never see its peak",
+         _rough_noise),
     Case("exponent near one", "p + 2 = 3: a cosine lobe, cut by every horizon", _exponents(1.0)),
     Case("exponent of 10^5", "(n.h)^p underflows before the node is reached", _exponents(1e5)),
     Case("alpha^2 of 10^-8", "1 - (n.h)^2 cancels, the determinant 10^-16 leaves float32",

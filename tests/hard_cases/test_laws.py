@@ -9,6 +9,7 @@ import pytest
 from test_fitting import mirrored, quarter_turn
 from test_halfangle import evaluator
 
+from brdffit.doctor import MISTAKEN_BY, MISTAKEN_TIMES
 from brdffit.fitting.batch import model_kernels
 from brdffit.fitting.bfgs import search_columns
 from brdffit.fitting.method import search_settings
@@ -61,6 +62,16 @@ def test_finite_within_bounds_and_never_worse_than_the_start(case, model):
     (error,), start = measure_beside_start(sample, [lobes], **DENSE)
     assert np.isfinite(error).all()
     assert (error <= start * (1 + case.slack) + UNSEEN).all(), (error, start)
+
+
+@pairs_of("believed", lambda case: not case.unread)
+def test_the_fit_knows_its_own_error(case, model):
+    """What the fit reports as residual is what a dense rule of its own measures: no lobe hides from its nodes."""
+    sample = case.sample(model)
+    lobes, output = sample.fit()
+    error = sample.measure([lobes], **DENSE).error[0]
+    own = output.residual
+    assert (error <= MISTAKEN_TIMES * own + MISTAKEN_BY).all(), (own, error)
 
 
 def read(case: Case) -> bool:

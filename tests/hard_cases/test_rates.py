@@ -5,6 +5,7 @@ The sets lie beside the checkout, not in it; without them everything here is ski
 
 from __future__ import annotations
 
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -49,6 +50,6 @@ def test_rare_branches_are_rare(name, quality, capsys):
         counts += np.bincount(output.status, minlength=len(STATUSES))
     named = {name: int(count) for (name, _), count in zip(STATUSES, counts, strict=True) if count}
     with capsys.disabled():
-        print(f"\n{name}, {quality}: {counts.sum()} texels, {named}")
+        sys.stdout.write(f"\n{name}, {quality}: {counts.sum()} texels, {named}\n")
     for status, rate in RATES[quality].items():
         assert counts[status] <= rate * counts.sum(), named
