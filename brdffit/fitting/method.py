@@ -37,6 +37,8 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 # A piece of work should take a fraction of a second, so that an interrupt is heard and the bar moves.
 _TEXELS_PER_PIECE = 4096
 _LEAST_PIECES = 32
+# Footprints of this many texels an axis take many samples, beside which nodes are cheap: they get more of them.
+_WIDE, _WIDE_NODES = 4, 2
 # Texels that tell a level's mean error, and texels of a level worth it.
 _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
 _LAXEST = 1e-2
@@ -94,13 +96,14 @@ def level_rules(
     point: bool = False,
 ) -> LevelRules:  # fmt: skip
     """How a level is sampled. ``point`` takes the base texel itself, unfiltered."""
-    points = tuple(lattice(nodes) for nodes in quality.nodes)
+    scale = max(base_size[0] / size[0], base_size[1] / size[1])
+    points = tuple(lattice(nodes * (_WIDE_NODES if scale >= _WIDE else 1)) for nodes in quality.nodes)
     if point:
         one = np.ones(1)
         return LevelRules(Strata(0.0 * one, 0.0 * one, one, one, 0.0, 0.0, 1.0, 1.0, 0), 1, points)
     pixels = max(1.0, 2.0 * pixel_filter.radius)
     # An even number a texel: strata then end at texel centres, where the bilinear patches do.
-    per_texel = 2 * max(1, math.ceil(0.5 * quality.least / max(base_size[0] / size[0], base_size[1] / size[1])))
+    per_texel = 2 * max(1, math.ceil(0.5 * quality.least / scale))
     chosen = strata(pixel_filter, base_size, size, per_texel, math.ceil(quality.most * pixels), mip_level)
     return LevelRules(chosen, max(quality.room, 2 * chosen.samples), points)
 

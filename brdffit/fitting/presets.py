@@ -19,7 +19,7 @@ class Quality:
         most: samples along a pixel, at most; beyond, samples are random points of wider strata.
         room: samples of a footprint in all, where steep normals have strata cut up.
         step: lobe widths that the normal may turn from one sample to the next.
-        nodes: of the half-angle integral, from few to many.
+        nodes: of the half-angle integral, from few to many, on levels 0 and 1; twice as many beyond.
         trusted: disagreement of two half rules, as a share of the residual, above which a texel gets more nodes.
         negligible: disagreement (relative squared error) that never does.
         starts: how many closed-form starts are followed to the end.
