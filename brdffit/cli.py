@@ -278,12 +278,13 @@ def tradeoff(sources: tuple[str, ...], output: Path, quick: bool) -> None:
 @_reading_options
 def doctor(source: str, manifest: str | None, as_json: bool, **asked: Any) -> None:
     """Say which hard cases SET holds, where, and what a bake does about them."""
-    from brdffit.console import print_diagnosis
+    from brdffit.console import BakeDisplay, print_diagnosis
     from brdffit.doctor import diagnose
 
     reading = {name: asked.pop(name) for name in ("roles", "normal_y", "wrap", "height_scale")}
     given = {name: value for name, value in asked.items() if value is not None}
-    diagnosis = diagnose(source, manifest=manifest, reading=reading, **given)
+    with BakeDisplay() as display:
+        diagnosis = diagnose(source, manifest=manifest, reading=reading, phase=display.phase, **given)
     click.echo(diagnosis.to_json(), nl=False) if as_json else print_diagnosis(diagnosis)
 
 

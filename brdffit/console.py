@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 _PHASES = {
     "reading": "reading the textures",
     "compiling": "compiling the kernels",
+    "looking": "looking at the worst texels, and at some of each level",
     "measuring": "measuring against the reference",
     "preview": "lighting the preview",
 }

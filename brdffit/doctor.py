@@ -10,7 +10,7 @@ import dataclasses
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from brdffit.baking import bake_options
 from brdffit.errors import InputError
+from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.status import FALLBACK, ITERATION_LIMIT, STATUS_NAMES
 from brdffit.halfangle.apparent_lobe import Base, base_of
@@ -122,7 +123,7 @@ class Diagnosis:
 
 def diagnose(
     source: str | os.PathLike[str] | TextureSet | Svbrdf, *, manifest: str | os.PathLike[str] | None = None,
-    reading: Mapping[str, Any] | None = None, **options: Any,
+    reading: Mapping[str, Any] | None = None, phase: Callable[[str], None] | None = None, **options: Any,
 ) -> Diagnosis:  # fmt: skip
     """Look for hard cases in a set.
 
@@ -130,6 +131,7 @@ def diagnose(
         source: a folder of textures, a .gltf, .glb or .mtlx file, a TextureSet or an Svbrdf.
         manifest: manifest.json of a bake of it: its options and statuses are taken instead of a sample's.
         reading: arguments of ``read_texture_set``.
+        phase: told when a phase begins: "reading", "compiling", "looking".
         options: fields of ``BakeOptions``, where no manifest has them.
 
     Raises:
@@ -138,6 +140,8 @@ def diagnose(
     """
     record = _read_manifest(manifest) if manifest is not None else None
     asked = bake_options(None, {**record["options"], **options} if record else options)
+    tell = phase or (lambda name: None)
+    tell("reading")
     texture_set = None
     if isinstance(source, Svbrdf):
         svbrdf = source
@@ -161,6 +165,9 @@ def diagnose(
             f"texel, which is filtered as it stands; block compression and some engines want powers of two."
         )
     base = base_of(svbrdf, get_model(svbrdf.model).default_shape)
+    tell("compiling")
+    NonlinearFit().prepare(asked.model, svbrdf.model)
+    tell("looking")
     for finding in diagnosis.findings:
         if finding.worst:
             places = np.array(finding.worst, np.int64)

@@ -133,7 +133,7 @@ def test_the_command_prints_and_gives_json(tmp_path):
     assert printed.exit_code == 0, printed.output
     assert "grooved-record: 32x32" in printed.output and "The hardest level is" in printed.output
     asked = CliRunner().invoke(main, ["doctor", str(folder), "--quality", "draft", "--json"])
-    record = json.loads(asked.output)
+    record = json.loads(asked.stdout)
     assert record["name"] == "grooved-record" and {each["case"] for each in record["findings"]}
     for finding in record["findings"]:
         assert finding["case"] in printed.output

@@ -219,8 +219,11 @@ def edges(start, search):
 
 @pairs_of("precision", read, slow=True)  # the loop in double precision compiles for 40 s, once
 def test_single_precision_is_as_good_as_double(case, model):
+    """Measured apart; where two optima are as good, on the nodes that both were fitted to."""
     sample = case.sample(model)
-    single, double = (sample.fit(float_width=width)[0] for width in (32, 64))
+    (single, output), (double, other) = (sample.fit(float_width=width) for width in (32, 64))
     errors = sample.measure([single, double], **DENSE).error
+    if case.bistable:
+        errors = np.stack([output.residual, other.residual])
     if errors.max() > UNSEEN:
         assert snr(errors[0]) == pytest.approx(snr(errors[1]), abs=PRECISION)
