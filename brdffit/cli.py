@@ -122,6 +122,7 @@ def _choice(*names: str) -> dict[str, Any]:
 @click.option("--min-roughness", **_roughness_floor, show_default="0.045", help="Perceptual roughness floor.")
 @click.option("--specular", **_choice("auto", "free", "held"), show_default="auto", help=_SPECULAR_HELP)
 @click.option("--loss", **_choice("l2", "relative", "l1"), show_default="l2", help="l2 follows peaks, l1 tails too.")
+@click.option("--refine", is_flag=True, help="Fit also what a renderer interpolates between texels and levels.")
 @click.option("--lobe", **_choice("auto", "anisotropic", "isotropic"), show_default="auto", help="auto: as the preset.")
 @click.option("--normal", **_choice("free", "mean"), show_default="free", help="Fit the normal, or hold the mean.")
 @click.option("--density", **_choice("cosine", "uniform"), show_default="cosine", help="Of lights and viewers.")

@@ -40,6 +40,8 @@ class BakeOptions:
             for. None: the preset ``quality`` alone.
         loss: "l2", "relative" (each half angle counts relative to what the target holds there) or "l1" (smoothed:
             tails count more than in l2).
+        refine: move the texels of each level together, after their fit, so that what a renderer interpolates between
+            texels and levels matches in l2; texel centres may lose by it (``residual`` is that of the fit, before).
         quality: "draft", "standard" or "fine" (quadrature and starts of the nonlinear fit).
         specular: "free" (best scale in closed form) or "held" (filtered colour, for metallic-roughness outputs).
         lobe: "anisotropic" or "isotropic".
@@ -56,6 +58,7 @@ class BakeOptions:
     quality: str = "standard"
     tolerance: float | None = None
     loss: str = "l2"
+    refine: bool = False
     specular: str = "free"
     lobe: str = "anisotropic"
     normal: str = "free"

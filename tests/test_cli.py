@@ -119,7 +119,7 @@ def test_bake_passes_every_option_on(run, baked):
         "set.gltf -o there --preset gltf --quality fine --method lean --model beckmann --pixel-filter mitchell "
         "--levels 3 --threads 2 --normal-y dx --wrap clamp --keep-level-0 --min-roughness 0.1 --specular free "
         "--lobe isotropic --normal mean --density uniform --bits 16 --role normal=a.png --role orm=b=c.png "
-        "--height-scale 4 --no-preview --tolerance 0.1 --loss l1"
+        "--height-scale 4 --no-preview --tolerance 0.1 --loss l1 --refine"
     )
     assert run("bake", *arguments.split()).exit_code == 0
     assert baked.arguments == {
@@ -127,7 +127,7 @@ def test_bake_passes_every_option_on(run, baked):
         "model": "beckmann", "pixel_filter": "mitchell", "levels": 3, "threads": 2, "normal_y": "dx", "wrap": "clamp",
         "keep_level_0": True, "min_roughness": 0.1, "specular": "free", "lobe": "isotropic", "normal": "mean",
         "density": "uniform", "bits": 16, "roles": {"normal": "a.png", "orm": "b=c.png"}, "height_scale": 4.0,
-        "preview": False, "tolerance": 0.1, "loss": "l1",
+        "preview": False, "tolerance": 0.1, "loss": "l1", "refine": True,
     }  # fmt: skip
     of_baking = {"source", "output", "preset", "method", "bits", "preview", "roles", "normal_y", "wrap", "height_scale"}
     assert set(baked.arguments) - of_baking == {field.name for field in dataclasses.fields(BakeOptions)}

@@ -23,6 +23,7 @@ from brdffit.fitting.batch import (
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
 from brdffit.fitting.losses import LOSS_CODES
 from brdffit.fitting.presets import Quality, quality_of
+from brdffit.fitting.refine import refine_pyramid
 from brdffit.fitting.status import FALLBACK, KEPT
 from brdffit.fitting.texel import Search
 from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter
@@ -73,18 +74,22 @@ class NonlinearFit:
         search = search_settings(options, quality, base, source, target)
         sizes = level_sizes(svbrdf.size, options.levels)
         pyramid = Pyramid(self.name, options, [])
+        level_samplings = []
         for mip_level, size in enumerate(sizes):
             start = time.perf_counter()
-            if mip_level == 0 and options.keep_level_0 and source.name == target.name:
+            kept = mip_level == 0 and options.keep_level_0
+            rules = level_rules(pixel_filter, svbrdf.size, size, mip_level, quality, point=kept)
+            level_samplings.append(rules)
+            if kept and source.name == target.name:
                 level = Level(svbrdf.replace(height=None), status=np.full(size, KEPT, np.uint8))
             else:
-                kept = mip_level == 0 and options.keep_level_0
-                rules = level_rules(pixel_filter, svbrdf.size, size, mip_level, quality, point=kept)
                 level_search = tolerant(search, options, base, rules, size, mip_level, kernels)
                 output = _fit_level(base, rules, size, level_search, kernels, options.threads, mip_level, progress)
                 level = _level(output, size, svbrdf, target, pixel_filter)
             level.seconds = time.perf_counter() - start
             pyramid.levels.append(level)
+        if options.refine:
+            refine_pyramid(pyramid, base, level_samplings, search, kernels, first=1 if options.keep_level_0 else 0)
         failed = sum(int((level.status == FALLBACK).sum()) for level in pyramid.levels if level.status is not None)
         if failed:
             pyramid.notes.append(f"The search failed for {failed} texels; they hold their closed-form start.")
