@@ -47,6 +47,7 @@ class Overrides(Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=T
     quality: Literal["draft", "standard", "fine"] | None = None
     tolerance: Positive | None = None
     loss: Literal["l2", "relative", "l1"] | None = None
+    refine: bool | None = None
     specular: Literal["auto", "free", "held"] | None = None
     lobe: Literal["auto", "anisotropic", "isotropic"] | None = None
     normal: Literal["free", "mean"] | None = None
