@@ -53,6 +53,10 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
     """SIGKILL of the run, and of a worker, at random moments, KILLS times each; then an undisturbed end."""
     make_library(tmp_path / "in", count=40, size=16)
     run_library(tmp_path / "in", tmp_path / "undisturbed", **QUICK)
+    # Moments follow the machine: on a busy one even the first set takes seconds.
+    began = time.perf_counter()
+    assert start(tmp_path / "in", tmp_path / "timed").wait() == 0
+    whole = time.perf_counter() - began
     moments, output = random.Random(6), tmp_path / "out"
     killed = {"run": 0, "worker": 0}
     progress = []
@@ -63,12 +67,12 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
             while not workers_of(process.pid) and process.poll() is None:
                 time.sleep(0.02)
             for _ in range(moments.randrange(3)):
-                time.sleep(moments.uniform(0.0, 1.5))
+                time.sleep(moments.uniform(0.0, 0.4 * whole))
                 workers = workers_of(process.pid) if process.poll() is None else []
                 if workers:
                     os.kill(moments.choice(workers), signal.SIGKILL)
                     killed["worker"] += 1
-            time.sleep(moments.uniform(0.0, 2.0))
+            time.sleep(moments.uniform(0.0, 0.6 * whole))
             if process.poll() is None:
                 process.kill()
                 killed["run"] += 1
