@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import platform
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from brdffit.machine import machine as ran_on
+
 ROOT = Path(__file__).resolve().parent.parent
-_PACKAGES = ("numpy", "scipy", "numba", "nlopt", "OpenImageIO")
 
 
 @dataclass(frozen=True)
@@ -46,24 +44,12 @@ class Section:
 
 
 def machine() -> dict[str, Any]:
-    """Machine, processor, versions, commit and date, for the record."""
+    """Date, commit, machine and versions, for the record."""
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": _commit(),
-        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "load_at_start": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
-        "python": platform.python_version(),
-        **{name: _version(name) for name in _PACKAGES},
+        **ran_on(),
     }
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def _commit() -> str:
@@ -76,16 +62,6 @@ def _commit() -> str:
     except OSError:
         return "unknown"
     return (head.stdout.strip() or "unknown") + ("+" if changed.stdout.strip() else "")
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or "unknown"
 
 
 def as_record(about: dict[str, Any], sections: Sequence[Section]) -> dict[str, Any]:

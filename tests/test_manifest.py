@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from export_support import averaged_pyramid, random_svbrdf
 
+from brdffit.machine import versions
 from brdffit.textures.export import write_pyramid
 from brdffit.textures.manifest import (
     build_manifest,
@@ -17,7 +18,6 @@ from brdffit.textures.manifest import (
     level_record,
     stable_digest,
     to_json,
-    versions,
 )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import platform
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -15,6 +14,7 @@ from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
 from brdffit.comparison.one_set import SetWork, fit_of
 from brdffit.comparison.views import Studio
 from brdffit.errors import InputError
+from brdffit.machine import machine
 from brdffit.methods import method_names
 from brdffit.render.environment import Environment, procedural_environment
 from brdffit.report.records import (
@@ -24,7 +24,6 @@ from brdffit.report.records import (
 )
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.image_io import read_image
-from brdffit.textures.manifest import versions
 from brdffit.textures.texture_set import TextureSet
 
 
@@ -66,7 +65,7 @@ def compare(
     comparison = Comparison(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         command=command,
-        machine=_machine(ask.options.threads),
+        machine=machine() | {"threads": ask.options.threads or os.cpu_count()},
         options={
             **asdict(ask.options), "environment": Path(ask.environment).name if ask.environment else "procedural",
             "pixels": ask.pixels, "frames": ask.frames, "texels": ask.texels, "pairs": ask.pairs,
@@ -106,25 +105,3 @@ def _environment(file: str | None) -> Environment:
         return Environment(read_image(file).pixels[..., :3])
     except ValueError as error:
         raise InputError(f"'{file}' cannot light a scene: {error}.") from error
-
-
-def _machine(threads: int | None) -> dict[str, str | int | float | None]:
-    """What it ran on."""
-    return {
-        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "threads": threads or os.cpu_count(),
-        "load at the end": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
-        **versions(),
-    }
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or "unknown"

@@ -7,7 +7,6 @@ Pictures lie beside the records as PNG files and are named by their path relativ
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
+from brdffit.textures.atomic import first_other
 
 #: Raised when an older program could not draw newer records.
 FORMAT = 1
@@ -230,10 +230,4 @@ def foreign_file(folder: Path) -> str | None:
         ours = {RECORDS, *map(str, listed["files"])}  # type: ignore[call-overload]
     except (OSError, ValueError, KeyError, TypeError):
         ours = set()
-    for parent, folders, files in os.walk(folder):
-        folders.sort()
-        for name in sorted(files):
-            path = Path(parent, name).relative_to(folder).as_posix()
-            if path not in ours:
-                return path
-    return None
+    return first_other(folder, ours)

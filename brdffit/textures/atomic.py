@@ -16,7 +16,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 from brdffit.errors import OutputError
@@ -28,6 +28,17 @@ except ImportError:  # Windows has none; there, leavings are told by their age
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 _STALE_SECONDS = 24 * 3600.0
+
+
+def first_other(folder: Path, ours: Collection[str]) -> str | None:
+    """The first file below ``folder`` that is none of ``ours`` (relative paths with "/"), as such a path; or None."""
+    for parent, folders, files in os.walk(folder):
+        folders.sort()
+        for name in sorted(files):
+            path = Path(parent, name).relative_to(folder).as_posix()
+            if path not in ours:
+                return path
+    return None
 
 
 def check_writable(folder: str | Path, is_ours: Callable[[Path], str | None], needed_bytes: int = 0) -> None:

@@ -14,18 +14,17 @@ import math
 import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from brdffit.machine import versions
 from brdffit.methods import Level, Pyramid
+from brdffit.textures.atomic import first_other
 
 FORMAT = 1
 FILE_NAME = "manifest.json"
-_PACKAGES = ("brdffit", "numpy", "scipy", "numba", "nlopt", "OpenImageIO")
 
 
 def build_manifest(
@@ -109,23 +108,6 @@ def level_record(
     return {**record, **(measured or {})}
 
 
-def versions() -> dict[str, str]:
-    """Versions of Python, of this package and of what its numbers depend on."""
-    return dict(_versions())
-
-
-@cache
-def _versions() -> dict[str, str]:
-    # Looked up once: it takes longer than a small set.
-    found = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "unknown"
-    return found
-
-
 def file_digest(path: str | Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
     with open(path, "rb") as file:
@@ -154,13 +136,7 @@ def foreign_file(folder: Path) -> str | None:
         ours = {FILE_NAME, *manifest["files"]} if manifest["format"] >= 1 else set()
     except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError):
         ours = set()
-    for parent, folders, files in os.walk(folder):
-        folders.sort()
-        for name in sorted(files):
-            path = Path(parent, name).relative_to(folder).as_posix()
-            if path not in ours:
-                return path
-    return None
+    return first_other(folder, ours)
 
 
 def _plain(value: Any) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,10 +10,10 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from brdffit.machine import machine
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
-from brdffit.textures.atomic import check_writable, replacing
+from brdffit.textures.atomic import check_writable, first_other, replacing
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.manifest import versions
 from brdffit.textures.texture_set import read_texture_set
 from brdffit.tradeoff.drawing import draw
 from brdffit.tradeoff.record import Tradeoff
@@ -42,8 +41,7 @@ def run(sources: Sequence[str], output: Path, quick: bool, command: str) -> Trad
             own_points, own_solvers = measure_set(name, svbrdf, size, status.update)
             points += own_points
             solvers += own_solvers
-    machine = {"system": f"{platform.system()} {platform.machine()}", **versions()}
-    found = Tradeoff(command, machine, list(size.texels), points, solvers, round(time.perf_counter() - began, 1))
+    found = Tradeoff(command, machine(), list(size.texels), points, solvers, round(time.perf_counter() - began, 1))
     with replacing(output, _foreign) as fresh:
         (fresh / _FILES[0]).write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=1))
         (fresh / _FILES[1]).write_text(as_markdown(found), encoding="utf-8")
@@ -52,8 +50,8 @@ def run(sources: Sequence[str], output: Path, quick: bool, command: str) -> Trad
 
 
 def _foreign(folder: Path) -> str | None:
-    """Name of a file that is none of ours, or None."""
-    return next((path.name for path in sorted(folder.iterdir()) if path.name not in _FILES), None)
+    """A file that no trade-off wrote, or None."""
+    return first_other(folder, _FILES)
 
 
 _HEAD = ("set", "group", "way", "s / Mtexel", "SNR dB", "rendered dB", "energy", "front", "s / Mtexel for each dB")
@@ -91,9 +89,9 @@ def _solver_rows(found: Tradeoff) -> list[tuple[str, ...]]:
 
 def as_markdown(found: Tradeoff) -> str:
     """The tables, and how to make them again."""
-    machine = ", ".join(f"{key} {value}" for key, value in found.machine.items())
+    ran_on = ", ".join(f"{key} {value}" for key, value in found.machine.items())
     parts = [
-        f"# What accuracy costs in time\n\nBy `{found.command}` in {found.seconds:.0f} s on {machine}.\n\n"
+        f"# What accuracy costs in time\n\nBy `{found.command}` in {found.seconds:.0f} s on {ran_on}.\n\n"
         "Seconds per megatexel of the base for levels 0 to 5 (processor seconds over the number of cores; closed "
         "forms: a whole bake); half-angle SNR, mean of these levels in dB; rendered: SNR of radiance over pairs of "
         "light and viewer, whole specular BRDF, levels 1, 3 and 5; energy kept; the front: no way to the same end is "
