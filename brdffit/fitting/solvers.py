@@ -156,7 +156,15 @@ def compiled(kernel: Any, data: tuple, functions: tuple = ()) -> Callable:
 
 def solve_nlopt(problem: Problem, start: NDArray) -> NDArray:
     """theta (6,) where NLopt's LD_LBFGS ends."""
-    columns, reach = problem.scaled(start)
+    return descend_by_nlopt(problem, start, nlopt.LD_LBFGS)
+
+
+def descend_by_nlopt(
+    problem: Problem, start: NDArray, algorithm: int, most: int = _MOST_EVALUATIONS, reach: float = math.inf
+) -> NDArray:
+    """theta (6,), the best that an algorithm of NLopt meets within ``most`` evaluations and ``reach`` search steps."""
+    columns, limit = problem.scaled(start)
+    limit = np.minimum(limit, reach)
 
     def objective_of(z: NDArray, gradient: NDArray) -> float:
         value = problem.value(start + columns @ z)
@@ -166,15 +174,15 @@ def solve_nlopt(problem: Problem, start: NDArray) -> NDArray:
             best[0], best[1] = value, z.copy()
         return float(value)
 
-    best: list[Any] = [math.inf, np.zeros(len(reach))]
-    solver = nlopt.opt(nlopt.LD_LBFGS, len(reach))
+    best: list[Any] = [math.inf, np.zeros(len(limit))]
+    solver = nlopt.opt(algorithm, len(limit))
     solver.set_min_objective(objective_of)
-    solver.set_lower_bounds(-reach)
-    solver.set_upper_bounds(reach)
+    solver.set_lower_bounds(-limit)
+    solver.set_upper_bounds(limit)
     solver.set_ftol_abs(_RESOLUTION)
-    solver.set_maxeval(_MOST_EVALUATIONS)
+    solver.set_maxeval(most)
     try:
-        solver.optimize(np.zeros(len(reach)))
+        solver.optimize(np.zeros(len(limit)))
     except (nlopt.runtime_error, RuntimeError, ValueError):
         pass  # A line search that ends in rounding; what it had found is in ``best``.
     return start + columns @ best[1]

@@ -15,7 +15,7 @@ from brdffit.fitting.bfgs import WORK, minimise
 from brdffit.fitting.method import level_rules, search_settings
 from brdffit.fitting.presets import get_quality
 from brdffit.fitting.sampling import LevelSample
-from brdffit.fitting.solvers import Problem, compiled, solve_nlopt, solve_scipy
+from brdffit.fitting.solvers import Problem, compiled, descend_by_nlopt, solve_nlopt, solve_scipy
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.closed_forms import LEAN
 from brdffit.halfangle.quadrature import BLUE, RED, WEIGHT, lattice
@@ -24,7 +24,8 @@ from brdffit.tradeoff.record import Solver
 #: Levels whose texels are raced on, and nodes of the table that all share.
 SOLVER_LEVELS = (1, 3)
 _NODES = 320
-_MOST_EVALUATIONS, _GLOBAL_EVALUATIONS, _RESOLUTION = 300, 1500, 1e-10
+#: Evaluations of the global search, and how many search steps it looks around in.
+_GLOBAL_EVALUATIONS, _GLOBAL_REACH = 1500, 4.0
 #: Share of the error at which optimisers count as having found the same lobe.
 _STEPS_OF_DIFFERENCE = 1e-5
 
@@ -52,39 +53,13 @@ def solve_ours(problem: Problem, start: NDArray) -> NDArray:
 
 def solve_slsqp(problem: Problem, start: NDArray) -> NDArray:
     """theta (6,) where NLopt's sequential quadratic programming ends."""
-    return _by_nlopt(problem, start, nlopt.LD_SLSQP, _MOST_EVALUATIONS)
+    return descend_by_nlopt(problem, start, nlopt.LD_SLSQP)
 
 
 def solve_global(problem: Problem, start: NDArray) -> NDArray:
     """theta (6,) of NLopt's controlled random search, then SLSQP from where it ends."""
     nlopt.srand(1)
-    return solve_slsqp(problem, _by_nlopt(problem, start, nlopt.GN_CRS2_LM, _GLOBAL_EVALUATIONS, reach=4.0))
-
-
-def _by_nlopt(problem: Problem, start: NDArray, algorithm: int, most: int, reach: float | None = None) -> NDArray:
-    columns, limit = problem.scaled(start)
-    limit = np.minimum(limit, reach or 1e3)
-    best: list = [math.inf, np.zeros(len(limit))]
-
-    def objective(z: NDArray, gradient: NDArray) -> float:
-        value = min(problem.value(start + columns @ z), 1e6)
-        if gradient.size:
-            gradient[:] = problem.gradient @ columns
-        if value < best[0]:
-            best[0], best[1] = value, z.copy()
-        return float(value)
-
-    solver = nlopt.opt(algorithm, len(limit))
-    solver.set_min_objective(objective)
-    solver.set_lower_bounds(-limit)
-    solver.set_upper_bounds(limit)
-    solver.set_ftol_abs(_RESOLUTION)
-    solver.set_maxeval(most)
-    try:
-        solver.optimize(np.zeros(len(limit)))
-    except (nlopt.runtime_error, RuntimeError, ValueError):
-        pass  # a line search that ends in rounding: what it had found is in ``best``
-    return start + columns @ best[1]
+    return solve_slsqp(problem, descend_by_nlopt(problem, start, nlopt.GN_CRS2_LM, _GLOBAL_EVALUATIONS, _GLOBAL_REACH))
 
 
 def solve_scipy_bfgs(problem: Problem, start: NDArray) -> NDArray:
