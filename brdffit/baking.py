@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +29,9 @@ from brdffit.textures.texture_set import TextureSet, read_texture_set
 
 #: Random texels of a level, nodes and samples an axis of what the manifest reports.
 _REPORT_TEXELS, _REPORT_NODES, _REPORT_SAMPLES = 64, 1024, (16, 96)
+
+#: annotate(pyramid, seconds of the fit): what more a manifest says, by its top-level parts.
+Annotate = Callable[[Pyramid, float], Mapping[str, Mapping[str, Any]]]
 
 Source = str | os.PathLike[str] | TextureSet | Svbrdf
 
@@ -112,11 +115,14 @@ def bake_to_folder(
     height_scale: float | None = None,
     progress: ProgressListener | None = None,
     name: str | None = None,
+    without: Collection[str] = (),
+    annotate: Annotate | None = None,
     **options: Any,
 ) -> BakeReport:
     """Bake a set and write OUT/<set>: EXR pyramid, engine pictures, manifest, preview; all of them or none.
 
-    Arguments as in ``bake``; ``bits`` (8 or 16) of the pictures, ``name`` of the set if not that of its folder.
+    Arguments as in ``bake``; ``bits`` (8 or 16) of the pictures, ``name`` of the set if not that of its folder,
+    ``without`` roles of maps that are not read, ``annotate`` what more the manifest says.
 
     Raises:
         InputError, UnknownNameError: as ``bake``.
@@ -129,7 +135,7 @@ def bake_to_folder(
         name = name or (texture_set.name if texture_set else "svbrdf")
         folder = Path(output) / name
         export.check_writable(folder)
-        svbrdf = source if isinstance(source, Svbrdf) else _svbrdf(texture_set, asked)
+        svbrdf = source if isinstance(source, Svbrdf) else _svbrdf(texture_set, asked, without)
         export.check_writable(folder, svbrdf.size)
     pyramid = _run(chosen, svbrdf, asked, phases, progress)
     with phases("measuring"):
@@ -141,16 +147,22 @@ def bake_to_folder(
             picture = make_preview(svbrdf, naive, pyramid, title=name, threads=asked.threads)
             del naive
     notes = [*pyramid.notes, *(texture_set.notes if texture_set else [])]
+    noted: Mapping[str, Mapping[str, Any]] = {}
+    if annotate is not None:
+        with phases("measuring"):
+            noted = annotate(pyramid, phases.seconds["fitting"])
     with phases("writing"):
         manifest = build_manifest(
             pyramid,
             name=name,
-            inputs=inputs_of(texture_set),
+            inputs=((role, path) for role, path in inputs_of(texture_set) if role not in without),
             conventions=conventions_of(texture_set),
             status_names=STATUS_NAMES,
             measured=measured,
             notes=texture_set.notes if texture_set else (),
         )
+        for part, more in noted.items():
+            manifest[part] = {**manifest.get(part, {}), **more}
         manifest = export.write_pyramid(
             pyramid, folder, name=name, preset=preset, bits=bits, manifest=manifest, preview=picture
         )
@@ -223,9 +235,9 @@ def _texture_set(
     return read_texture_set(source, roles=roles, normal_y=normal_y, wrap=wrap, height_scale=height_scale)
 
 
-def _svbrdf(texture_set: TextureSet | None, options: BakeOptions) -> Svbrdf:
+def _svbrdf(texture_set: TextureSet | None, options: BakeOptions, without: Collection[str] = ()) -> Svbrdf:
     assert texture_set is not None
-    return to_svbrdf(texture_set, min_roughness=options.min_roughness)
+    return to_svbrdf(texture_set, min_roughness=options.min_roughness, without=without)
 
 
 def inputs_of(texture_set: TextureSet | None) -> Iterator[tuple[str, Path]]:

@@ -1,0 +1,91 @@
+"""What people see of a plan: a table a surface, or one of all surfaces, and the JSON file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from brdffit.planning.plan import EffectRow, Plan, SurfacePlan
+from brdffit.textures.atomic import write_text
+
+#: Columns where no terminal sets them.
+_PIPED_WIDTH = 160
+
+
+def print_plan(plan: Plan, short: bool = False) -> None:
+    """Every surface with its effects; ``short`` (or many surfaces): one line a surface."""
+    console = Console(highlight=False, markup=False, emoji=False)
+    if not console.is_terminal:
+        console.width = _PIPED_WIDTH
+    if not short:
+        for surface in plan.surfaces:
+            _print_surface(console, surface, plan.budget_db)
+    if short or len(plan.surfaces) > 1:
+        _print_overview(console, plan)
+
+
+def write_plan(plan: Plan, path: Path) -> None:
+    """The plan as JSON.
+
+    Raises:
+        OutputError: when the file cannot be written.
+    """
+    write_text(path, msgspec.json.format(msgspec.json.encode(plan), indent=1).decode() + "\n")
+
+
+def _print_surface(console: Console, surface: SurfacePlan, budget: float) -> None:
+    height, width = surface.size
+    console.print(Text(f"{surface.name} ({width}x{height})", style="bold"))
+    console.print(surface.seen, soft_wrap=True)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for name, justify in (
+        ("effect", "left"), ("", "left"), ("dB", "right"), ("seconds", "right"), ("why", "left"),
+        ("what would change it", "left"),
+    ):  # fmt: skip
+        table.add_column(name, justify=justify)  # type: ignore[arg-type]
+    for row in surface.effects:
+        style = "" if row.on else "dim"
+        verdict = Text("on" if row.on else "off", style="bold green" if row.on else "dim")
+        table.add_row(row.title, verdict, _db(row), _seconds(row.costs_seconds), row.why, row.change, style=style)
+    console.print(table)
+    if surface.unread:
+        console.print(f"Not read: {', '.join(surface.unread)}.")
+    everything, planned = surface.everything, surface.planned
+    console.print(
+        f"Everything on: {everything.seconds:.1f} s, {everything.snr_db:.1f} dB. Planned: {planned.seconds:.1f} s, "
+        f"{planned.snr_db:.1f} dB; {max(surface.lost_db, 0.0):.3f} dB are given up, at most {surface.lost_at_most_db:.3f} "
+        f"(budget {budget:g}).",
+        soft_wrap=True,
+    )
+    for note in surface.notes:
+        console.print(f"- {note}", soft_wrap=True)
+    console.print()
+
+
+def _print_overview(console: Console, plan: Plan) -> None:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for name in ("surface", "levels", "off"):
+        table.add_column(name)
+    for name in ("all on, s", "planned, s", "saved", "SNR dB", "lost dB", "at most"):
+        table.add_column(name, justify="right")
+    for each in plan.surfaces:
+        saved = 1.0 - each.planned.seconds / max(each.everything.seconds, 1e-9)
+        table.add_row(
+            each.name, f"{each.reach[0]} to {each.reach[1]}", ", ".join(each.off), f"{each.everything.seconds:.1f}",
+            f"{each.planned.seconds:.1f}", f"{saved:.0%}", f"{each.planned.snr_db:.1f}", f"{each.lost_db:.3f}",
+            f"{each.lost_at_most_db:.3f}",
+        )  # fmt: skip
+    console.print(table)
+
+
+def _db(row: EffectRow) -> str:
+    return "-" if row.contributes_db is None else f"{row.contributes_db:.3f}"
+
+
+def _seconds(seconds: float | None) -> str:
+    return "-" if seconds is None else f"{seconds:.1f}"

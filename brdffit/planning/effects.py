@@ -1,0 +1,149 @@
+"""The effects that a scene may call for: what each one is, and what is left out where it is off.
+
+An effect is a small change of a bake's options, of the maps that are read, or of the judge's terms. A new one is one
+more entry here; how much it contributes and costs is measured (``trial``), whether it stays is decided (``plan``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from brdffit.methods import BakeOptions
+from brdffit.render.terms import Terms
+from brdffit.svbrdf import Svbrdf
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect.
+
+    Attributes:
+        name: as scene files write it.
+        title: for people.
+        absent: what is done without it, as the end of "off: ...".
+        on, off: fields of ``BakeOptions``, with it and without it.
+        unread: roles of maps that are not read without it.
+        terms: fields of the judge's ``Terms`` that are False without it.
+        judge: whether it is the judge's alone: it changes no pyramid, but what a comparison simulates.
+    """
+
+    name: str
+    title: str
+    absent: str
+    on: Mapping[str, Any] = field(default_factory=dict)
+    off: Mapping[str, Any] = field(default_factory=dict)
+    unread: tuple[str, ...] = ()
+    terms: tuple[str, ...] = ()
+    judge: bool = False
+
+
+EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        "normals", "variation of normals", "every normal is that of the surface; no normal or height map is read",
+        on={"normal": "free"}, off={"normal": "mean"}, unread=("normal", "height"),
+    ),
+    Effect(
+        "anisotropy", "anisotropy of the lobes", "one roughness for all directions",
+        on={"lobe": "anisotropic"}, off={"lobe": "isotropic"},
+    ),
+    Effect(
+        "scale", "free specular scale", "the filtered specular colour is held",
+        on={"specular": "free"}, off={"specular": "held"},
+    ),
+    Effect(
+        "colour", "three colour channels in the fit", "one fit of the luminance serves all channels",
+        on={"colour": "channels"}, off={"colour": "shared"},
+    ),
+    Effect(
+        "correlation", "correlation of colour with normals and roughness", "all texels of a footprint count alike",
+        on={"correlation": True}, off={"correlation": False},
+    ),
+    Effect(
+        "coupling", "diffuse light from the varying normals", "the diffuse colour is averaged plainly",
+        on={"coupling": True}, off={"coupling": False},
+    ),
+    Effect(
+        "level_0", "pixel filter at level 0", "level 0 stays as authored",
+        on={"keep_level_0": False}, off={"keep_level_0": True},
+    ),
+    Effect(
+        "horizon", "lobes cut at their own horizon", "lobes go on below it",
+        on={"horizon": True}, off={"horizon": False},
+    ),
+    Effect(
+        "refinement", "refinement for interpolation between texels and levels", "every texel is fitted for its centre",
+        on={"refine": True}, off={"refine": False},
+    ),
+    Effect(
+        "texels", "the same work in every texel", "each texel is given no more work than the budget asks for",
+        on={"tolerance": None}, off={"tolerance": 0.1},
+    ),
+    Effect(
+        "masking", "masking and shadowing in the judge", "microfacets hide none of each other",
+        terms=("masking",), judge=True,
+    ),
+    Effect(
+        "fresnel", "Fresnel in the judge", "reflectance is that at normal incidence", terms=("fresnel",), judge=True
+    ),
+    Effect(
+        "environment", "light from the environment in the judge", "only the lights of the scene shine", judge=True
+    ),
+)  # fmt: skip
+
+BY_NAME = {effect.name: effect for effect in EFFECTS}
+NAMES = tuple(BY_NAME)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a set of effects makes of a bake and of the judge.
+
+    Attributes:
+        options: of the bake.
+        unread: roles of maps that are not read.
+        terms: of the judge.
+        environment: whether the judge lights by the environment.
+    """
+
+    options: BakeOptions
+    unread: tuple[str, ...] = ()
+    terms: Terms = field(default_factory=Terms)
+    environment: bool = True
+
+
+def setup(options: BakeOptions, off: Collection[str] = (), tolerance: float = 0.1) -> Setup:
+    """Everything on but the effects named in ``off``.
+
+    Args:
+        options: of the scene: model, quality, pixel filter, reach.
+        off: names of effects.
+        tolerance: dB, of a bake without "texels".
+    """
+    changes: dict[str, Any] = {}
+    unread: list[str] = []
+    terms: dict[str, bool] = {}
+    for effect in EFFECTS:
+        gone = effect.name in off
+        changes |= effect.off if gone else effect.on
+        if gone:
+            unread += effect.unread
+            terms |= dict.fromkeys(effect.terms, False)
+    if "texels" in off:
+        changes["tolerance"] = tolerance
+    return Setup(
+        dataclasses.replace(options, **changes), tuple(unread), Terms(**terms), environment="environment" not in off
+    )
+
+
+def as_read(base: Svbrdf, unread: Collection[str]) -> Svbrdf:
+    """The base as it is when these maps are not read (``to_svbrdf(..., without=unread)`` without reading again)."""
+    if "normal" not in unread:
+        return base
+    flat = np.zeros_like(base.normal)
+    flat[..., 2] = 1.0
+    return base.replace(normal=flat, height=None)

@@ -1,0 +1,47 @@
+"""What the judge's effects cost: seconds of a comparison's pictures, from a few pixels of one."""
+
+from __future__ import annotations
+
+import time
+
+from brdffit.planning.effects import BY_NAME
+from brdffit.render.environment import Environment
+from brdffit.render.lights import Lights
+from brdffit.render.reference import render_halves
+from brdffit.render.scenes import plane
+from brdffit.render.terms import Terms
+from brdffit.svbrdf import Svbrdf
+
+#: Side of the picture that is timed, and pixels of the pictures of one set in a comparison, by what lights them.
+_SIDE, _PIXELS, _PIXELS_AROUND = 24, 5 * 192 * 192, 3 * 128 * 128
+_REPEATS = 3
+
+
+def judge_costs(
+    base: Svbrdf, level: int, lights: Lights | None, environment: Environment | None, threads: int | None
+) -> dict[str, float]:
+    """Seconds that each effect of the judge adds to the reference pictures of a comparison, by its name.
+
+    Args:
+        base: the set. level: at which it is seen. lights, environment: of the scene, if it has any.
+    """
+    scene = plane(base.size, level, (_SIDE, _SIDE))
+    share = 1.0 / _SIDE**2
+
+    def seconds(terms: Terms, lit: Lights | None, around: Environment | None) -> float:
+        taken = []
+        for _ in range(_REPEATS):
+            start = time.perf_counter()
+            render_halves(base, scene, lit, environment=around, terms=terms, samples="draft", threads=threads)
+            taken.append(time.perf_counter() - start)
+        return min(taken) * share
+
+    found = {}
+    if lights is not None or environment is None:
+        whole = seconds(Terms(), lights, None)
+        for name in ("masking", "fresnel"):
+            terms = Terms(**dict.fromkeys(BY_NAME[name].terms, False))
+            found[name] = (whole - seconds(terms, lights, None)) * _PIXELS
+    if environment is not None:
+        found["environment"] = seconds(Terms(), None, environment) * _PIXELS_AROUND
+    return found

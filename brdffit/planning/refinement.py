@@ -1,0 +1,67 @@
+"""What the refinement for interpolation contributes and costs: tried on small crops, for it moves whole levels."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+
+import numpy as np
+
+from brdffit.fitting.method import NonlinearFit
+from brdffit.methods import BakeOptions
+from brdffit.planning.trial import UNSEEN, Loss
+from brdffit.render.lights import Lights
+from brdffit.render.reference import render_halves, render_pyramid
+from brdffit.render.scenes import plane
+from brdffit.svbrdf import Svbrdf, level_sizes
+
+#: Crops, their side in texels of the finest level that is reached, and the picture's side in pixels.
+_CROPS, _SIDE, _PIXELS = 3, 16, 20
+
+
+def try_refinement(
+    base: Svbrdf, options: BakeOptions, reach: tuple[int, int], lights: Lights | None, seed: int
+) -> tuple[Loss, float]:
+    """What is lost without it, between texels and halfway between the two finest levels; seconds that it costs.
+
+    Args:
+        base: the set. options: of the bake, everything else on. reach: first and last level.
+        lights: of the scene; None: a few small ones. seed: of the crops.
+    """
+    level = min(reach[0], len(level_sizes(base.size)) - 2)
+    if level < 0:
+        return Loss(0.0, 0.0), 0.0
+    random = np.random.default_rng(seed)
+    side = [min(size, _SIDE << level) for size in base.size]
+    losses, seconds = [], []
+    for _ in range(_CROPS):
+        crop = _crop(base, side, random)
+        shift = random.random(2)
+        scene = plane(crop.size, level + 0.5, (_PIXELS, _PIXELS), shift=(float(shift[0]), float(shift[1])))
+        truth = render_halves(crop, scene, lights, samples="draft").halves.astype(np.float64)
+        error, took = [], []
+        for refine in (True, False):
+            asked = dataclasses.replace(
+                options, refine=refine, tolerance=None, levels=level + 2, reach=(level, level + 1), keep_level_0=False
+            )
+            start = time.perf_counter()
+            pyramid = NonlinearFit().bake(crop, asked)
+            took.append(time.perf_counter() - start)
+            picture = render_pyramid(pyramid, scene, lights).astype(np.float64)
+            error.append(float(np.sum((picture - truth[0]) * (picture - truth[1]))))
+        square = max(float(np.sum(truth[0] * truth[1])), 1e-30)
+        with_it, without = (max(each / square, 0.0) + UNSEEN for each in error)
+        losses.append(10.0 * math.log10(without / with_it))
+        texels = sum(math.prod(size) for size in level_sizes(crop.size, level + 2)[level:])
+        seconds.append(max(took[0] - took[1], 0.0) / texels)
+    reached = sum(math.prod(size) for size in level_sizes(base.size)[reach[0] : reach[1] + 1])
+    return Loss(float(np.mean(losses)), float(np.std(losses)) / math.sqrt(_CROPS)), float(np.median(seconds)) * reached
+
+
+def _crop(base: Svbrdf, side: list[int], random: np.random.Generator) -> Svbrdf:
+    """A random part of this (height, width), its border clamped."""
+    at = [int(random.integers(0, size - length + 1)) for size, length in zip(base.size, side, strict=True)]
+    cut = tuple(slice(begin, begin + length) for begin, length in zip(at, side, strict=True))
+    arrays = {name: np.ascontiguousarray(array[cut]) for name, array in base.arrays().items()}
+    return Svbrdf(**arrays, model=base.model, wrap="clamp")

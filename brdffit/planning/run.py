@@ -1,0 +1,65 @@
+"""From a scene file to plans, and from plans to baked sets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from brdffit.baking import BakeReport, ProgressListener, bake_to_folder
+from brdffit.methods import Pyramid
+from brdffit.planning.description import SceneFile
+from brdffit.planning.plan import Plan, SurfacePlan
+from brdffit.planning.surface import SurfaceWork, Tell
+
+
+def plan_scene(scene: SceneFile, name: str, seed: int = 0, threads: int | None = None, tell: Tell = str) -> Plan:
+    """Plan every surface of a scene.
+
+    Args:
+        scene: of ``read_scene``. name: of its file, for the record.
+        seed: of the sampled texels and directions; the same seed gives the same verdicts.
+        tell: hears what is being measured.
+
+    Raises:
+        InputError: for a set or an environment that cannot be used.
+    """
+    surfaces = tuple(SurfaceWork(scene, surface, seed, threads).plan(tell) for surface in scene.surfaces)
+    return Plan(scene=name, seed=seed, budget_db=scene.budget.db, budget_seconds=scene.budget.seconds, surfaces=surfaces)
+
+
+def bake_scene(
+    scene: SceneFile, plan: Plan, output: Path, *, preview: bool = True, threads: int | None = None,
+    progress: ProgressListener | None = None,
+) -> list[BakeReport]:  # fmt: skip
+    """Bake every surface as its plan says, each into a folder of its name.
+
+    A manifest holds the plan under "plan", and what became of it under "planned and measured", where "measured" is on
+    texels and directions that the plan did not see; seconds stand in the part that is not hashed.
+
+    Raises:
+        InputError, OutputError: as ``bake_to_folder``.
+    """
+    reports = []
+    for surface, planned in zip(scene.surfaces, plan.surfaces, strict=True):
+        work = SurfaceWork(scene, surface, plan.seed + 1, threads)
+        reports.append(
+            bake_to_folder(
+                work.texture_set, output, name=surface.name, preset=scene.target.preset, bits=scene.target.bits,
+                preview=preview, progress=progress, without=planned.unread, threads=threads,
+                annotate=lambda pyramid, seconds, work=work, planned=planned: _notes(work, planned, pyramid, seconds),
+                **{name: tuple(v) if isinstance(v, list) else v for name, v in planned.options.items()},
+            )
+        )  # fmt: skip
+    return reports
+
+
+def _notes(work: SurfaceWork, planned: SurfacePlan, pyramid: Pyramid, seconds: float) -> dict[str, Any]:
+    """What the manifest says of the plan."""
+    outcome, lost = work.outcome(planned, pyramid, seconds)
+    record = msgspec.to_builtins(planned)
+    timed = {name: record[name].pop("seconds") for name in ("everything", "planned")}
+    costs = {row["name"]: row.pop("costs_seconds") for row in record["effects"]}
+    record["measured"] = {"snr_db": round(outcome.snr_db, 2), "lost_db": round(lost.db, 3), "uncertain_db": lost.error}
+    return {"plan": record, "volatile": {"plan_seconds": {**timed, "measured": outcome.seconds, "effects": costs}}}

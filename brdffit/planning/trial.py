@@ -1,0 +1,204 @@
+"""What an effect contributes and costs, measured on a small random sample of texels and directions.
+
+The figure is that of a picture: the squared error of the radiance that the scene's cameras see of the scene's lights,
+over the square of the true radiance, pooled over the texels of a level and averaged over the levels that are reached.
+Configurations are held against the truth on the same texels and pairs of directions, so that most of the sampling noise
+cancels in their differences; what is left is estimated by resampling texels (Efron's bootstrap).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.fitting.sampling import LevelSample
+from brdffit.halfangle.measure import random_texels
+from brdffit.methods import BakeOptions
+from brdffit.planning.effects import Setup, as_read
+from brdffit.render.pairs import pair_errors
+from brdffit.render.terms import Terms
+from brdffit.svbrdf import Svbrdf, level_sizes
+
+#: Relative squared error that nobody sees: a contrast of one percent, about the eye's threshold (40 dB).
+UNSEEN = 1e-4
+#: Sampled texels of a level, pairs of light and viewer at each, samples of a footprint, and levels of a surface.
+TEXELS, PAIRS, FOOTPRINT, LEVELS = 96, 128, 4096, 4
+#: A fit is timed for at least so long, repeatedly, and the shortest counts; but on no more texels than that.
+_TIMED, _REPEATS, _MOST_TEXELS = 0.04, 3, 4096
+_RESAMPLED = 200
+
+#: (view, light, weight) for so many texels and pairs, see ``lighting.directions``.
+Directions = tuple[NDArray, NDArray, NDArray]
+Draw = Callable[[int, int, int], Directions]
+
+
+class Errors(NamedTuple):
+    """By measured level: squared errors (M, n) of M versions, and squared reference (n,)."""
+
+    error: list[NDArray]
+    reference: list[NDArray]
+
+
+class Loss(NamedTuple):
+    """dB that one version lies below another, and the standard error of that."""
+
+    db: float
+    error: float
+
+    @property
+    def at_most(self) -> float:
+        """dB: twice the standard error above, never below 0."""
+        return max(self.db, 0.0) + 2.0 * self.error
+
+
+class Sample:
+    """Texels of the levels that a surface's cameras reach, with directions.
+
+    Args:
+        base: everything that the set holds.
+        reach: first and last level.
+        draw: directions for (texels, pairs, seed).
+        seed: of texels and directions.
+        texels: of a level.
+    """
+
+    def __init__(
+        self, base: Svbrdf, reach: tuple[int, int], draw: Draw, seed: int = 0, texels: int = TEXELS,
+        threads: int | None = None,
+    ) -> None:  # fmt: skip
+        self.base, self.reach, self.draw, self.seed, self.threads = base, reach, draw, seed, threads
+        self.sizes = level_sizes(base.size)
+        self.levels = sorted({round(level) for level in np.linspace(*reach, LEVELS)})
+        self.texels = {k: random_texels(self.sizes[k], texels, self._seed(k)) for k in self.levels}
+
+    def _seed(self, level: int) -> int:
+        return 1000 * (self.seed + 1) + level
+
+    def versions(self, setup: Setup) -> list[Svbrdf]:
+        """The sampled texels of each level as (n, 1) images, fitted as this setup has it."""
+        base = as_read(self.base, setup.unread)
+        return [self._version(base, level, setup.options) for level in self.levels]
+
+    def picked(self, levels: Sequence[Svbrdf]) -> list[Svbrdf]:
+        """The sampled texels of a pyramid that was baked."""
+        return [_picked(levels[level], *self.texels[level]) for level in self.levels]
+
+    def _version(self, base: Svbrdf, level: int, options: BakeOptions) -> Svbrdf:
+        columns, rows = self.texels[level]
+        if level == 0 and options.keep_level_0:
+            return _picked(base, columns, rows)
+        sample = LevelSample(base, level, columns, rows, options, threads=self.threads)
+        _, output = sample.fit()
+        arrays = {name: getattr(output, name)[:, None] for name in ("normal", "log_roughness", "specular", "diffuse")}
+        shape = output.shape[:, None] if sample.target.shape_bounds else None
+        return Svbrdf(**arrays, model=sample.target.name, wrap=base.wrap, shape=shape)
+
+    def errors(
+        self, versions: Sequence[Sequence[Svbrdf]], terms: Terms = Terms(), draw: Draw | None = None  # noqa: B008
+    ) -> Errors:
+        """Squared errors of M versions (each a list over the levels) against everything that the base holds."""
+        found = Errors([], [])
+        for i, level in enumerate(self.levels):
+            columns, rows = self.texels[level]
+            error, reference = pair_errors(
+                self.base, [version[i] for version in versions], columns, rows, terms=terms, samples=FOOTPRINT,
+                size=self.sizes[level], threads=self.threads,
+                directions=(draw or self.draw)(len(columns), PAIRS, self._seed(level)),
+            )  # fmt: skip
+            found.error.append(error)
+            found.reference.append(reference)
+        return found
+
+    def seconds(self, setups: Sequence[Setup]) -> list[float]:
+        """Seconds that fitting all reached levels takes with each setup, from the sampled texels.
+
+        Setups take turns, and the shortest of several runs counts: what else the machine does disturbs all alike.
+        """
+        per_texel = np.array([self._seconds_a_texel(level, setups) for level in self.levels])
+        reached = range(self.reach[0], self.reach[1] + 1)
+        total = []
+        for m, setup in enumerate(setups):
+            # Between measured levels the cost of a texel goes on as its logarithm does.
+            cost = np.exp(np.interp(reached, self.levels, np.log(np.maximum(per_texel[:, m], 1e-9))))
+            kept = setup.options.keep_level_0
+            counts = [0 if kept and k == 0 else math.prod(self.sizes[k]) for k in reached]
+            total.append(float(cost @ counts))
+        return total
+
+    def _seconds_a_texel(self, level: int, setups: Sequence[Setup]) -> list[float]:
+        texels = math.prod(self.sizes[level])
+        count = min(texels, len(self.texels[level][0]))
+        runs: list[Callable[[], float]] = []
+        counts: list[int] = []
+        extra: list[float] = []
+        for setup in setups:
+            if level == 0 and setup.options.keep_level_0:
+                runs.append(lambda: 0.0)
+                counts.append(1)
+                extra.append(0.0)
+                continue
+            base = as_read(self.base, setup.unread)
+            start = time.perf_counter()
+            first = self._level_sample(base, level, count, setup.options)
+            settings = first.settings()
+            pilot = time.perf_counter() - start if setup.options.tolerance is not None else 0.0
+            taken = _timed(lambda sample=first, settings=settings: sample.fit(settings=settings))  # type: ignore[misc]
+            wanted = min(max(math.ceil(count * _TIMED / max(taken, 1e-6)), count), _MOST_TEXELS, texels)
+            sample = self._level_sample(base, level, wanted, setup.options)
+            runs.append(lambda sample=sample, settings=settings: _timed(lambda: sample.fit(settings=settings)))  # type: ignore[misc]
+            counts.append(wanted)
+            extra.append(pilot / texels)
+        shortest = [math.inf] * len(setups)
+        for _ in range(_REPEATS):
+            for m, run in enumerate(runs):
+                shortest[m] = min(shortest[m], run())
+        return [shortest[m] / counts[m] + extra[m] for m in range(len(setups))]
+
+    def _level_sample(self, base: Svbrdf, level: int, count: int, options: BakeOptions) -> LevelSample:
+        columns, rows = random_texels(self.sizes[level], count, self._seed(level) + 500)
+        return LevelSample(base, level, columns, rows, options, threads=self.threads)
+
+
+def snr_db(found: Errors, version: int) -> float:
+    """SNR in dB of one version over the measured levels; what nobody sees is counted as error."""
+    return -10.0 * math.log10(float(_pooled(found, version, None)) + UNSEEN)
+
+
+def loss(found: Errors, version: int, than: int = 0, of: Errors | None = None) -> Loss:
+    """What ``version`` loses against version ``than`` (of ``of``, on the same texels, if that is another measurement).
+
+    Its standard error is that over samples of texels of this size.
+    """
+    of = found if of is None else of
+    random = np.random.default_rng(0)
+    drawn = [random.integers(0, len(r), (_RESAMPLED, len(r))) for r in found.reference]
+    one, other = (np.log10(_pooled(each, m, drawn) + UNSEEN) for each, m in ((of, than), (found, version)))
+    return Loss(snr_db(of, than) - snr_db(found, version), float(np.std(10.0 * (other - one))))
+
+
+def _pooled(found: Errors, version: int, texels: list[NDArray] | None) -> NDArray:
+    """Squared error over squared reference of each level, averaged over levels; (R,) for R drawings of texels."""
+    shares = []
+    for i, (e, r) in enumerate(zip(found.error, found.reference, strict=True)):
+        own, square = e[version], r
+        if texels is not None:
+            own, square = own[texels[i]], square[texels[i]]
+        shares.append(np.maximum(own.sum(axis=-1), 0.0) / np.maximum(square.sum(axis=-1), 1e-30))
+    return np.mean(shares, axis=0)
+
+
+def _picked(level: Svbrdf, columns: NDArray, rows: NDArray) -> Svbrdf:
+    """Some texels as an (n, 1) image."""
+    arrays = {name: array[rows, columns][:, None] for name, array in level.arrays().items()}
+    return Svbrdf(**arrays, model=level.model, wrap=level.wrap)
+
+
+def _timed(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
