@@ -283,8 +283,10 @@ _CHOICES = {
     "quality": get_args(Quality), "pixel_filter": get_args(Filter),
 }  # fmt: skip
 _STRUCTS = (SceneFile, Camera, Surface, Light, Target, Budget)
-_WORDS = {"`float`": "a number", "`int`": "a whole number", "`str`": "a text", "`array`": "a list", "`object`": "a table",
-          "`float | array`": "a number or a list", "`bool`": "true or false"}  # fmt: skip
+_WORDS = {
+    "`float | array`": "a number or a list", "`float`": "a number", "`int`": "a whole number", "`str`": "a text",
+    "`array`": "a list", "`object`": "a table",
+}  # fmt: skip
 
 
 def _in_plain_words(what: str, where: str, data: dict[str, Any]) -> tuple[str, str]:
@@ -304,7 +306,8 @@ def _in_plain_words(what: str, where: str, data: dict[str, Any]) -> tuple[str, s
         return where, f"`{missing[1]}` is missing"
     for word, plain in _WORDS.items():
         what = what.replace(word, plain)
-    return where, _small(what) + ("" if ", got " in what else _found(data, where))
+    found = _found(data, where)
+    return where, _small(what.partition(", got ")[0] if found else what) + found
 
 
 def _nearest(name: str, known: Any) -> str:
