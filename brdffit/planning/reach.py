@@ -58,7 +58,7 @@ def reached_levels(scene: SceneFile, surface: Surface, base_size: tuple[int, int
     named = "" if nearest == farthest else f" (nearest '{nearest}', farthest '{farthest}')"
     levels = f"level {first}" if first == last else f"levels {first} to {last}"
     return Reach(
-        first, last, low, high, f"A pixel spans {low:.2g} to {high:.2g} texels{named}: {levels} of 0 to {top}."
+        first, last, low, high, f"A pixel spans {_short(low)} to {_short(high)} texels{named}: {levels} of 0 to {top}."
     )
 
 
@@ -81,6 +81,10 @@ def shown_turn(camera: Camera, distance: float | NDArray, radius: float | None) 
     magnified = 1.0 + distance / radius
     angle = np.minimum(corner, np.arcsin(1.0 / magnified))
     return np.degrees(np.arcsin(np.minimum(magnified * np.sin(angle), 1.0)) - angle)
+
+
+def _short(number: float) -> str:
+    return f"{number:.2g}" if number < 100.0 else f"{number:.0f}"
 
 
 def _texels_a_pixel(camera: Camera, surface: Surface, texel: float, far: bool) -> float:
