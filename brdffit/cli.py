@@ -289,6 +289,27 @@ def doctor(source: str, manifest: str | None, as_json: bool, **asked: Any) -> No
     click.echo(diagnosis.to_json(), nl=False) if as_json else print_diagnosis(diagnosis)
 
 
+@main.group()
+def scene() -> None:
+    """Scenes: who looks at which surfaces, from where and under which light."""
+
+
+@scene.command()
+@click.argument("file", type=click.Path(path_type=Path), default=Path("scene.toml"))
+@click.option("--force", is_flag=True, help="Replace FILE if it is there.")
+def init(file: Path, force: bool) -> None:
+    """Write a scene file with every default and a word on it, to be changed by hand.
+
+    It names the texture sets below the current folder; FILE is scene.toml unless told otherwise.
+    """
+    from brdffit.library.discovery import find_sets
+    from brdffit.planning.template import write_template
+
+    # A set that shares its folder with others has no name that a scene could call it by.
+    sets = [found.source for found in find_sets(Path()) if found.files is None]
+    click.echo(f"{write_template(file, sets, force)}: {len(sets) or 'no'} texture set{'s' * (len(sets) != 1)} found.")
+
+
 @main.command()
 @click.option("--plain", is_flag=True, help="One name a line, for scripts.")
 def methods(plain: bool) -> None:

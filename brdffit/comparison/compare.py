@@ -12,18 +12,16 @@ from typing import Any
 
 from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
 from brdffit.comparison.one_set import SetWork, fit_of
+from brdffit.comparison.surroundings import read_environment
 from brdffit.comparison.views import Studio
-from brdffit.errors import InputError
 from brdffit.machine import machine
 from brdffit.methods import method_names
-from brdffit.render.environment import Environment, procedural_environment
 from brdffit.report.records import (
     Comparison,
     MethodInfo,
     SetResult,
 )
 from brdffit.svbrdf import Svbrdf
-from brdffit.textures.image_io import read_image
 from brdffit.textures.texture_set import TextureSet
 
 
@@ -50,7 +48,7 @@ def compare(
         UnknownNameError: for an unknown name.
     """
     began = time.perf_counter()
-    environment, methods = _environment(ask.environment), list(ask.methods) or method_names()
+    environment, methods = read_environment(ask.environment), list(ask.methods) or method_names()
     studio = Studio.usual(
         environment, pixels=ask.pixels, frames=ask.frames, samples=ask.samples,
         pixel_filter=ask.options.pixel_filter, threads=ask.options.threads,
@@ -96,12 +94,3 @@ def _free_name(name: str, taken: Sequence[str]) -> str:
     while free in taken:
         free, number = f"{name}-{number}", number + 1
     return free
-
-
-def _environment(file: str | None) -> Environment:
-    if file is None:
-        return procedural_environment()
-    try:
-        return Environment(read_image(file).pixels[..., :3])
-    except ValueError as error:
-        raise InputError(f"'{file}' cannot light a scene: {error}.") from error

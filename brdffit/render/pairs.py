@@ -37,12 +37,13 @@ def pair_errors(
     samples: int | str | None = None,
     threads: int | None = None,
     size: tuple[int, int] | None = None,
+    directions: tuple[NDArray, NDArray, NDArray] | None = None,
 ) -> tuple[NDArray, NDArray]:
     """Mean squared error of M versions of one level at n texels, over random pairs of light and viewer.
 
-    l and v are independent and cosine-distributed about the plane's normal. The truth is estimated twice,
-    independently, and the error is the mean of (M - A)(M - B): its own noise adds nothing on average (so a single
-    texel's error may come out slightly negative; means over texels are what is meant to be read).
+    l and v are independent and cosine-distributed about the plane's normal, or as ``directions`` say. The truth is
+    estimated twice, independently, and the error is the mean of (M - A)(M - B): its own noise adds nothing on average
+    (so a single texel's error may come out slightly negative; means over texels are what is meant to be read).
 
     Args:
         base: the full-resolution SVBRDF.
@@ -55,6 +56,9 @@ def pair_errors(
         samples: of a footprint: "draft", "standard", "fine" or their number.
         threads: worker threads; the result does not depend on it.
         size: (height, width) of the level where ``levels`` hold these texels alone, as (n, 1) images in their order.
+        directions: view (n, Q, 3), light (n, Q, 3) and weight (n, Q) of Q pairs at each texel instead of random ones:
+            unit vectors in the tangent space of the mean plane; the weights count relative to their sum at a texel.
+            ``pairs`` and ``seed`` then say nothing.
 
     Returns:
         (M, n) float64 squared errors, the sum over colour channels; (n,) float64 squared reference. The SNR over a
@@ -75,8 +79,12 @@ def pair_errors(
     place[:, 2], place[:, 5] = scale
     key = footprint_keys(place)
     rule = strata_rule(get_pixel_filter(pixel_filter), *sample_count(place[:1], budget)[0].tolist())
-    view, light = _directions(np.random.default_rng(seed), len(columns), pairs)
-    weight = np.full(view.shape[:2], 1.0 / pairs)
+    if directions is None:
+        view, light = _directions(np.random.default_rng(seed), len(columns), pairs)
+        weight = np.full(view.shape[:2], 1.0 / pairs)
+    else:
+        view, light, weight = (np.ascontiguousarray(each, np.float64) for each in directions)
+        weight = weight / weight.sum(axis=1, keepdims=True)
     lobes = _lobes(levels, lobes_at[0], lobes_at[1], model.log_normalisation)
     error, square = np.zeros((len(levels), len(columns))), np.zeros(len(columns))
     log_normalisation, shade = shading_kernels(base.model, terms)

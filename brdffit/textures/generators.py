@@ -244,12 +244,48 @@ class BumpyMirror(msgspec.Struct, forbid_unknown_fields=True):
         )
 
 
+class FractalRelief(msgspec.Struct, forbid_unknown_fields=True):
+    """A height of all sizes of bumps, some of them ridges; colour and roughness follow the height and a noise."""
+
+    colors: list[Color]
+    slope: float
+    cycles: tuple[float, float]
+    falloff: float
+    ridges: float
+    patches: float
+    roughness: tuple[float, float]
+
+    def make(self, size: int, rng: np.random.Generator) -> Maps:
+        fx, fy = _frequencies(size)
+        cycles = np.hypot(fx, fy)
+        low, high = self.cycles
+        band = np.maximum(cycles, low) ** -self.falloff * (1.0 - np.exp(-((cycles / low) ** 4)))
+        band *= np.exp(-0.5 * (cycles / high) ** 2)
+        height = _noise(size, rng, band)
+        # A fold along the zeros of another noise, rounded, is a ridge.
+        fold = -np.sqrt(np.square(_noise(size, rng, band * np.exp(-0.5 * (cycles / (4.0 * low)) ** 2))) + 0.01)
+        height += self.ridges * (fold - fold.mean()) / fold.std()
+        gradient = height_gradient(height, "tile") * size
+        scale = self.slope / float(gradient.std())
+        cloud = _noise(size, rng, np.exp(-0.5 * (cycles / (3.0 * low)) ** 2))
+        place = np.clip(0.5 + 0.25 * (height / height.std() * (1.0 - self.patches) + self.patches * cloud), 0.0, 1.0)
+        stops = np.linspace(0.0, 1.0, len(self.colors))
+        rough, smooth = self.roughness[1], self.roughness[0]
+        return Maps(
+            color=np.stack([np.interp(place, stops, channel) for channel in zip(*self.colors, strict=True)], axis=2),
+            normal=normals_from_gradient(gradient * scale),
+            roughness=rough + (smooth - rough) * place,
+            height=height * scale,
+        )
+
+
 GENERATORS: dict[str, Any] = {
     "brushed_metal": BrushedMetal,
     "hammered_metal": HammeredMetal,
     "grooved_record": GroovedRecord,
     "glossy_tiles": GlossyTiles,
     "bumpy_mirror": BumpyMirror,
+    "fractal_relief": FractalRelief,
 }
 
 

@@ -24,7 +24,10 @@ _CHECKOUT = Path(__file__).resolve().parents[2] / "data"
 #: Folder of the recipes: in a checkout, or where an installation puts them.
 RECIPES = _CHECKOUT if (_CHECKOUT / "hammered-metal.toml").is_file() else Path(sys.prefix, "share", "brdffit")
 #: Names of the shipped sets.
-SETS = ("brushed-metal", "bumpy-mirror", "glossy-tiles", "grooved-record", "hammered-metal")
+SETS = (
+    "brushed-metal", "bumpy-mirror", "glossy-tiles", "grooved-record", "hammered-metal", "plaster-wall",
+    "rocky-terrain",
+)  # fmt: skip
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

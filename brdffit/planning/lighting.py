@@ -1,0 +1,136 @@
+"""Pairs of directions to viewer and light as a scene has them, for errors over random pairs.
+
+The measure is that of pictures: a direction of view counts as the pixels that see the surface from it, a direction of
+light as the luminance that a surface facing it receives. Cosines are left to the terms of the BRDF.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.comparison.surroundings import read_environment
+from brdffit.errors import InputError
+from brdffit.planning.description import PROCEDURAL, Light, SceneFile, Surface
+from brdffit.planning.reach import GRAZING, shown_turn
+from brdffit.render.environment import Environment
+from brdffit.render.metrics import LUMINANCE
+from brdffit.render.shading import into_frame
+
+#: Different directions of an environment that are drawn from: as many as a map of 256 x 128 has pixels.
+_ENVIRONMENT_DIRECTIONS = 1 << 15
+
+# Pairs are drawn anew until both directions are above the horizon; one in this many must be at least.
+_MOST_DRAWS = 256
+
+
+def directions(
+    scene: SceneFile, surface: Surface, texels: int, pairs: int, seed: int = 0
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Random pairs of directions at some texels of a surface.
+
+    View: a camera (all alike), a tilt of its range (each as often as pixels see it, that is by projected solid angle)
+    and any azimuth. Light: one of the lights or the environment, drawn by luminance, and a direction within its size. A
+    curved surface turns the frame of both at random, up to what the camera sees of its curvature; what a pair does not
+    see or light is drawn anew, so both directions are always above the horizon of the frame.
+
+    Args:
+        scene: as ``read_scene`` gives it.
+        surface: one of the scene's.
+        texels: how many.
+        pairs: at each texel.
+        seed: same seed, same directions.
+
+    Returns:
+        view and light (texels, pairs, 3), float64 unit vectors in the tangent space of the mean plane (where a surface
+        is curved: of the plane that touches it); weight (texels, pairs) float64, whose sum at a texel is 1.
+
+    Raises:
+        InputError: when the environment cannot be read, or no light reaches what the cameras see.
+    """
+    random, sources = np.random.default_rng(seed), _Sources(scene)
+    wanted = texels * pairs
+    found: list[NDArray] = []
+    count, drawn = 0, 0
+    while count < wanted:
+        if drawn >= _MOST_DRAWS * wanted:
+            raise InputError(
+                f"No light of the scene reaches '{surface.name or surface.set}' where the cameras see it: expected one "
+                "above its horizon (the third number of `direction` above 0), or an environment that is not black."
+            )
+        pair = _draw(scene, surface, sources, wanted, random)
+        found.append(pair)
+        count, drawn = count + len(pair), drawn + wanted
+    both = np.concatenate(found)[:wanted].reshape(texels, pairs, 2, 3)
+    return both[:, :, 0].copy(), both[:, :, 1].copy(), np.full((texels, pairs), 1.0 / pairs)
+
+
+class _Sources:
+    """What lights a scene, and how much of it each is."""
+
+    def __init__(self, scene: SceneFile) -> None:
+        self.lights: tuple[Light, ...] = scene.lights
+        self.around: NDArray | None = None
+        luminance = [float(np.dot(LUMINANCE, light.rgb)) for light in scene.lights]
+        if scene.environment is not None:
+            environment: Environment = read_environment(None if scene.environment == PROCEDURAL else scene.environment)
+            self.around = environment.samples(_ENVIRONMENT_DIRECTIONS)[0]
+            luminance.append(float(LUMINANCE @ environment.total()))
+        total = sum(luminance)
+        if total <= 0.0:
+            raise InputError("The lights of the scene are black: expected an `irradiance` above 0.")
+        self.share = np.array(luminance) / total
+
+    def draw(self, count: int, random: np.random.Generator) -> NDArray:
+        """(count, 3) directions."""
+        which = random.choice(len(self.share), count, p=self.share)
+        u = random.random((2, count))
+        out = np.empty((count, 3))
+        for i, light in enumerate(self.lights):
+            mine = which == i
+            axis = np.array(light.direction) / np.linalg.norm(light.direction)
+            # Uniform over the disc: any height of the cap is as likely as another.
+            height = 1.0 - (1.0 - math.cos(math.radians(0.5 * light.size))) * u[0, mine]
+            out[mine] = _about(axis, height, 2.0 * math.pi * u[1, mine]) if light.size else axis
+        if self.around is not None:
+            mine = which == len(self.lights)
+            out[mine] = self.around[random.integers(len(self.around), size=int(mine.sum()))]
+        return out
+
+
+def _draw(scene: SceneFile, surface: Surface, sources: _Sources, count: int, random: np.random.Generator) -> NDArray:
+    """At most ``count`` pairs (m, 2, 3), view and light: those above the horizon."""
+    which = random.integers(len(scene.cameras), size=count)
+    u = random.random((5, count))
+    tilts = np.array([camera.tilts for camera in scene.cameras])
+    low, high = np.square(np.sin(np.radians(tilts[which]))).T
+    view = _polar(np.sqrt(1.0 - (low + (high - low) * u[0])), 2.0 * math.pi * u[1])
+    light = sources.draw(count, random)
+    least = 0.0
+    if surface.radius is not None:
+        turn = np.empty(count)
+        for i, camera in enumerate(scene.cameras):
+            mine = which == i
+            near, far = camera.distances
+            turn[mine] = shown_turn(camera, near * (far / near) ** u[2, mine], surface.radius)
+        normal = _polar(np.sqrt(1.0 - np.square(np.sin(np.radians(turn))) * u[3]), 2.0 * math.pi * u[4])
+        view, light = into_frame(view, normal), into_frame(light, normal)
+        least = math.cos(math.radians(max(GRAZING, float(tilts.max()))))
+    seen = (view[:, 2] > least) & (light[:, 2] > 0.0)
+    return np.stack([view[seen], light[seen]], axis=1)
+
+
+def _polar(height: NDArray, azimuth: NDArray) -> NDArray:
+    """(n, 3) unit vectors of this z."""
+    across = np.sqrt(np.maximum(1.0 - height * height, 0.0))
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=-1)
+
+
+def _about(axis: NDArray, height: NDArray, azimuth: NDArray) -> NDArray:
+    """(n, 3) unit vectors whose part along a unit ``axis`` is ``height``."""
+    side = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.6 else (0.0, 1.0, 0.0))
+    side /= np.linalg.norm(side)
+    frame = np.stack([side, np.cross(axis, side), axis])
+    return _polar(height, azimuth) @ frame

@@ -1,0 +1,110 @@
+"""The scene file that ``brdffit scene init`` writes: every field with its default and a word on it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from brdffit.errors import OutputError
+from brdffit.planning.description import EFFECTS
+from brdffit.textures.materials import SUFFIXES
+
+TEMPLATE = """\
+# A scene: who looks at which surfaces, from where and under which light. brdffit computes what it calls for.
+# Whatever stands here is the default and may be left out, but for the surfaces; lengths are metres, angles degrees.
+
+model = "ggx"                   # lobe: see `brdffit models`
+quality = "standard"            # draft, standard or fine
+pixel_filter = "box"            # box, gaussian or mitchell
+
+# Light from all around: an equirectangular .hdr or .exr picture, or "procedural", the one that comes with brdffit. It
+# stands where neither it nor a light is named. y is up in it, and z points out of the surface.
+# environment = "procedural"
+
+# Cameras: as many as there are kinds of view.
+[[cameras]]
+name = ""                       # as the plan calls it
+distance = [1.0, 10.0]          # nearest and farthest, or one number
+field_of_view = 50.0            # horizontal
+resolution = [1920, 1080]       # width and height in pixels
+tilt = [0.0, 60.0]              # between view and surface normal: least and most, or one number
+
+# Surfaces.
+{surfaces}
+# Lights, far away.
+# [[lights]]
+# direction = [-0.4, 0.5, 1.0]  # towards the light: x to the right, y up, z out of the surface
+# irradiance = [3.0, 2.9, 2.7]  # linear, facing the light; or one number
+# size = 0.0                    # diameter; 0: infinitely small. The sun: 0.53
+
+[target]
+preset = "plain"                # plain, gltf, unreal, unity or godot
+bits = 8                        # of the pictures: 8 or 16
+
+[budget]
+db = 0.1                        # that all effects left out may cost together
+# seconds = 60                  # that a bake may take
+
+# What the plan may leave out: "auto" leaves it to the plan, "on" and "off" overrule it.
+[effects]
+{effects}"""
+
+_SURFACE = """\
+[[surfaces]]
+set = {set}
+name = {name:<24} # of its output folder; "": as the set
+# repetitions = 1.0             # of the texture's width per metre; or texel_size = 0.002, in metres
+# radius = 0.5                  # of a curved surface; flat without it
+wrap = "tile"                   # tile or clamp
+# normal_y = "gl"               # gl or dx; else told by names or slopes
+# height_scale = 8              # texels between heights 0 and 1
+# roles = {{ normal = "bumps.png" }}
+"""
+
+
+def template(sets: Sequence[str | Path] = (), folder: Path | None = None) -> str:
+    """The text of a scene file with one surface for each set, or for a folder "textures" without any.
+
+    Args:
+        sets: folders or files of texture sets.
+        folder: that of the scene file, to which they are named relative; None: they stand as they are.
+    """
+    paths = [Path(os.path.relpath(path, folder) if folder else path).as_posix() for path in sets] or ["textures"]
+    bare = [Path(path).with_suffix("") if Path(path).suffix in SUFFIXES else Path(path) for path in paths]
+    ends = [path.name for path in bare]
+    surfaces = []
+    for path, named in zip(paths, bare, strict=True):
+        # Two folders of one name would be written to one place.
+        parts = [part for part in named.parts if part not in ("..", "/")]
+        name = ".".join(parts) if ends.count(named.name) > 1 else ""
+        surfaces.append(_SURFACE.format(set=_quoted(path), name=_quoted(name)))
+    effects = "".join(f'# {name} = "auto"\n' for name in EFFECTS)
+    return TEMPLATE.format(surfaces="\n".join(surfaces), effects=effects)
+
+
+def write_template(path: str | Path, sets: Sequence[str | Path] = (), force: bool = False) -> Path:
+    """Write a commented scene file that names ``sets``.
+
+    Raises:
+        OutputError: when it is there already (unless ``force``), or cannot be written; then what was there still is.
+    """
+    path = Path(path)
+    if path.exists() and not force:
+        raise OutputError(f"'{path}' is there already, expected a name that is free, or --force to replace it.")
+    text = template(sets, path.resolve().parent)
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        raise OutputError(f"'{path}' could not be written: {error.strerror}.") from error
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def _quoted(text: str) -> str:
+    """A TOML string."""
+    return json.dumps(text, ensure_ascii=False)
