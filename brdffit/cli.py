@@ -6,7 +6,7 @@ Exit codes: 0 done, 1 a bad input or a failed bake, 2 a wrong command line, 130 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +98,7 @@ def _reading_options(command: Callable) -> Callable:
 
 _roughness_floor: dict[str, Any] = {"type": click.FloatRange(0, 1, min_open=True)}
 _OUTPUT_HELP = "Folder to write into; the set gets one of its own name there."
+_SCENE_HELP = "Instead of SET: every surface of this scene, as its plan says; see `brdffit plan`."
 _SPECULAR_HELP = "Fit the scale of the lobe, or hold the filtered colour; auto: what the preset can store."
 
 
@@ -107,7 +108,8 @@ def _choice(*names: str) -> dict[str, Any]:
 
 
 @main.command()
-@click.argument("source", metavar="SET")
+@click.argument("source", metavar="SET", required=False)
+@click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=_SCENE_HELP)
 @click.option("--preset", default="plain", callback=_known("preset"), help="Engine that the pictures are for.")
 @click.option("--quality", **_choice("draft", "standard", "fine"), show_default="standard")
 @click.option(
@@ -131,7 +133,11 @@ def _choice(*names: str) -> dict[str, Any]:
 @click.option("--show", is_flag=True, help="Open preview.png when done; without a screen, draw it in the terminal.")
 @click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
 @_reading_options
-def bake(source: str, output: Path, bits: str, no_preview: bool, show: bool, **options: Any) -> None:
+@click.pass_context
+def bake(
+    context: click.Context, source: str | None, scene_file: Path | None, output: Path, bits: str, no_preview: bool,
+    show: bool, **options: Any,
+) -> None:  # fmt: skip
     """Bake the MIP pyramid of SET.
 
     SET is a folder of textures, or a .gltf, .glb or .mtlx file.
@@ -139,12 +145,31 @@ def bake(source: str, output: Path, bits: str, no_preview: bool, show: bool, **o
     from brdffit.baking import bake_to_folder
     from brdffit.console import BakeDisplay, print_report, show_picture
 
-    given = {name: value for name, value in options.items() if value not in (None, False, "auto")}
-    with BakeDisplay() as display:
-        report = bake_to_folder(source, output, bits=int(bits), preview=not no_preview, progress=display, **given)
-    print_report(report)
-    if show and not no_preview:
-        show_picture(report.folder / "preview.png")
+    if (source is None) == (scene_file is None):
+        raise click.UsageError("Give a texture set to bake, or --scene FILE to bake all that a scene calls for.")
+    if scene_file is not None:
+        from brdffit.planning.console import bake_by_plan
+
+        _refuse_beside_scene(context, ("scene_file", "output", "threads", "no_preview", "show"))
+        reports = bake_by_plan(scene_file, output, preview=not no_preview, threads=options["threads"])
+    else:
+        given = {name: value for name, value in options.items() if value not in (None, False, "auto")}
+        with BakeDisplay() as display:
+            reports = [
+                bake_to_folder(source, output, bits=int(bits), preview=not no_preview, progress=display, **given)
+            ]
+    for report in reports:
+        print_report(report)
+        if show and not no_preview:
+            show_picture(report.folder / "preview.png")
+
+
+def _refuse_beside_scene(context: click.Context, allowed: Sequence[str]) -> None:
+    """Beside --scene only what no plan decides may be given."""
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        if name not in allowed and context.get_parameter_source(name) == click.core.ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{parameter.opts[0]} cannot be given beside --scene: the plan decides it.")
 
 
 def _shard(ctx: click.Context, parameter: click.Parameter, text: str | None) -> tuple[int, int] | None:
@@ -159,7 +184,9 @@ def _shard(ctx: click.Context, parameter: click.Parameter, text: str | None) -> 
 
 #: Options of a bake that stand for every set of a library.
 _SHARED = [
-    each for each in bake.params if each.name not in ("source", "output", "no_preview", "show", "threads", "roles")
+    each
+    for each in bake.params
+    if each.name not in ("source", "scene_file", "output", "no_preview", "show", "threads", "roles")
 ]
 
 
@@ -308,6 +335,29 @@ def init(file: Path, force: bool) -> None:
     # A set that shares its folder with others has no name that a scene could call it by.
     sets = [found.source for found in find_sets(Path()) if found.files is None]
     click.echo(f"{write_template(file, sets, force)}: {len(sets) or 'no'} texture set{'s' * (len(sets) != 1)} found.")
+
+
+@main.command()
+@click.argument("file", metavar="SCENE", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("plan.json"), help="The plan, as JSON.")
+@click.option("--sets", type=click.Path(path_type=Path), metavar="ROOT", help="Every set below ROOT as its surface.")
+@click.option("--short", is_flag=True, help="One line a surface.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the texels and directions that are sampled.")
+@click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no verdict depends on it.")
+def plan(file: Path, output: Path, sets: Path | None, short: bool, seed: int, threads: int | None) -> None:
+    """Say what SCENE calls for: levels and effects of each surface, why, and what they cost.
+
+    Effects are measured on a few texels and directions; nothing is baked.
+    """
+    from brdffit.library.discovery import find_sets
+    from brdffit.planning.console import make_plan, print_plan, write_plan
+
+    found = [each.source for each in find_sets(sets) if each.files is None] if sets else []
+    if sets and not found:
+        raise click.UsageError(f"There is no texture set below '{sets}'.")
+    _, made = make_plan(file, found, seed, threads)
+    write_plan(made, output)
+    print_plan(made, short or bool(sets))
 
 
 @main.command()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +60,14 @@ class Svbrdf:
     def replace(self, **changes: object) -> Svbrdf:
         """A copy with some fields changed (arrays are shared, not copied)."""
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+
+    def without(self, roles: Collection[str]) -> Svbrdf:
+        """What it would be had the maps of these roles not been read: without "normal" all normals are z."""
+        if "normal" not in roles:
+            return self
+        flat = np.zeros_like(self.normal)
+        flat[..., 2] = 1.0
+        return self.replace(normal=flat, height=None)
 
     def arrays(self) -> dict[str, NDArray]:
         """The arrays that are present, by field name."""

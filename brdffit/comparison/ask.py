@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 
 from brdffit.baking import bake_options
 from brdffit.methods import BakeOptions, Method, get_method, one_of
+from brdffit.render.lights import Lights
+from brdffit.render.terms import Terms
+
+SMALL_LIGHTS, ENVIRONMENT = LIGHTINGS = "small lights", "environment"
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,10 @@ class Ask:
         lobes: texels whose lobes are shown, at each of three levels.
         samples: preset of the reference.
         environment: an equirectangular picture in linear radiance (.hdr, .exr), or None for the one that ships.
+        lights: the small lights; None: those of the renderer.
+        lit: what lights the pictures, in turn.
+        terms: of the BRDF that are simulated.
+        unread: roles of maps that the fit is not given; the reference and the baselines see all.
         options: of the bake, see ``BakeOptions``.
         reading: how a folder is read, see ``read_texture_set``.
     """
@@ -38,6 +46,10 @@ class Ask:
     lobes: int = 5
     samples: str = "standard"
     environment: str | None = None
+    lights: Lights | None = None
+    lit: tuple[str, ...] = LIGHTINGS
+    terms: Terms = field(default_factory=Terms)
+    unread: tuple[str, ...] = ()
     options: BakeOptions = field(default_factory=BakeOptions)
     reading: Mapping[str, Any] = field(default_factory=dict)
 

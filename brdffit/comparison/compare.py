@@ -16,6 +16,7 @@ from brdffit.comparison.surroundings import read_environment
 from brdffit.comparison.views import Studio
 from brdffit.machine import machine
 from brdffit.methods import method_names
+from brdffit.render import lights as light_sets
 from brdffit.report.records import (
     Comparison,
     MethodInfo,
@@ -27,7 +28,7 @@ from brdffit.textures.texture_set import TextureSet
 
 def compare(
     sources: Sequence[str | os.PathLike[str] | TextureSet | Svbrdf],
-    ask: Ask = Ask(),  # noqa: B008
+    ask: Ask | Sequence[Ask] = Ask(),  # noqa: B008
     *,
     command: str = "",
     listener: Listener | None = None,
@@ -36,7 +37,7 @@ def compare(
 
     Args:
         sources: folders of textures, .gltf, .glb or .mtlx files, TextureSets or Svbrdfs.
-        ask: what, and how closely.
+        ask: what, and how closely; one for all sets, or one for each (of the same methods).
         command: that does the same again, for the record.
         listener: told of phases and texels.
 
@@ -48,16 +49,14 @@ def compare(
         UnknownNameError: for an unknown name.
     """
     began = time.perf_counter()
-    environment, methods = read_environment(ask.environment), list(ask.methods) or method_names()
-    studio = Studio.usual(
-        environment, pixels=ask.pixels, frames=ask.frames, samples=ask.samples,
-        pixel_filter=ask.options.pixel_filter, threads=ask.options.threads,
-    )  # fmt: skip
+    asks = [ask] * len(sources) if isinstance(ask, Ask) else list(ask)
+    ask = asks[0]
+    methods = list(ask.methods) or method_names()
     results: list[SetResult] = []
     pictures: PictureFiles = {}
     for number, source in enumerate(sources):
         name = _free_name(_name(source, number), [result.name for result in results])
-        work = SetWork(name, source, ask, methods, studio, listener)
+        work = SetWork(name, source, asks[number], methods, _studio(asks[number]), listener)
         results.append(work.run())
         pictures.update(work.pictures)
     comparison = Comparison(
@@ -77,6 +76,14 @@ def compare(
         seconds=time.perf_counter() - began,
     )  # fmt: skip
     return comparison, pictures
+
+
+def _studio(ask: Ask) -> Studio:
+    return Studio(
+        pixels=ask.pixels, frames=ask.frames, samples=ask.samples, environment=read_environment(ask.environment),
+        lights=ask.lights or light_sets.few(), lit=ask.lit, terms=ask.terms, reach=ask.options.reach,
+        pixel_filter=ask.options.pixel_filter, threads=ask.options.threads,
+    )  # fmt: skip
 
 
 def _name(source: Any, number: int) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
 from brdffit.comparison.lobes import lobe_view, model_of, representative_texels, same_place
 from brdffit.comparison.maps import map_strip
-from brdffit.comparison.views import SMALL_LIGHTS, Pyramids, Studio, all_views, distances_of
+from brdffit.comparison.views import Pyramids, Studio, all_views, distances_of
 from brdffit.errors import InputError
 from brdffit.fitting.batch import model_kernels
 from brdffit.halfangle.apparent_lobe import base_of
@@ -22,7 +22,6 @@ from brdffit.halfangle.measure import Measured, measure, random_texels, snr
 from brdffit.methods import Pyramid
 from brdffit.render import metrics, scenes
 from brdffit.render.pairs import pair_errors
-from brdffit.render.terms import Terms
 from brdffit.report.records import (
     KEPT_SUFFIX,
     PICTURES,
@@ -118,7 +117,7 @@ class SetWork:
         read = self.texture_set
         return SetResult(
             name=self.name, size=self.base.size, wrap=self.base.wrap, methods=results, skipped=self.skipped,
-            distances=distances_of(self.base.size, len(sizes)), views=views, lobes=lobes, overview=overview,
+            distances=distances_of(self.base.size, len(sizes), self.studio.reach), views=views, lobes=lobes, overview=overview,
             maps_levels=len(sizes), seconds={name: round(value, 3) for name, value in self.seconds.items()},
             inputs={role: each.path.name for role, each in read.maps.items()} if read else {},
             notes=list(read.notes) if read else [],
@@ -137,7 +136,8 @@ class SetWork:
             with self._phase("baking", f"baking by {name} ({number + 1} of {len(self.methods)})"):
                 start = time.perf_counter()
                 try:
-                    baked[name] = method.bake(self.base, options, self.listener)
+                    base = self.base.without(self.ask.unread) if name == fit_of(self.methods) else self.base
+                    baked[name] = method.bake(base, options, self.listener)
                 except InputError as error:
                     self.skipped.append(Skipped(method=name, reason=str(error)))
                     continue
@@ -183,7 +183,7 @@ class SetWork:
             for names in _by_model({name: levels[k] for name, levels in pyramids.items()}):
                 errors, power = pair_errors(
                     self.base, [pyramids[name][k] for name in names], columns, rows, pairs=self.ask.pairs, seed=k,
-                    terms=Terms(), pixel_filter=options.pixel_filter, samples="draft",
+                    terms=self.ask.terms, pixel_filter=options.pixel_filter, samples="draft",
                     threads=options.threads,
                 )  # fmt: skip
                 of_level |= dict(zip(names, map(capped, metrics.snr_of_errors(errors, power).tolist()), strict=True))
@@ -214,7 +214,9 @@ class SetWork:
         """The whole set once, by the reference under small lights; returns its path."""
         sizes = level_sizes(self.base.size)
         k = next((i for i, size in enumerate(sizes) if max(size) <= _OVERVIEW), len(sizes) - 1)
-        radiance = self.studio.reference(self.base, scenes.plane(self.base.size, k, sizes[k]), SMALL_LIGHTS).radiance
+        radiance = self.studio.reference(
+            self.base, scenes.plane(self.base.size, k, sizes[k]), self.studio.lit[0]
+        ).radiance
         return self._store("overview", metrics.tone_map(radiance, metrics.exposure_of(radiance)))
 
     def _texels(self, k: int) -> tuple[NDArray, NDArray]:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.render import lights as light_sets
+from brdffit.comparison.ask import ENVIRONMENT, LIGHTINGS, SMALL_LIGHTS
 from brdffit.render import metrics, scenes
 from brdffit.render.environment import Environment
 from brdffit.render.lights import Lights
 from brdffit.render.reference import Reference, render_halves, render_pyramid
 from brdffit.render.scenes import Scene
+from brdffit.render.terms import Terms
 from brdffit.report.records import Figures, Shot, View, capped
 from brdffit.svbrdf import Svbrdf, level_sizes
 
@@ -31,8 +32,6 @@ _COLUMNS = 6
 _AMPLIFIED = 2.0
 _MOST_CHANGE = 999.0
 
-SMALL_LIGHTS, ENVIRONMENT = "small lights", "environment"
-
 
 @dataclass(frozen=True)
 class Studio:
@@ -44,6 +43,9 @@ class Studio:
         samples: preset of the reference ("draft", "standard", "fine"), see ``render_reference``.
         environment: around the surface.
         lights: the small lights.
+        lit: what lights the pictures, in turn; stills of movement and slant are lit by the first.
+        terms: of the BRDF that are simulated.
+        reach: first and last level that are seen; None: all.
         pixel_filter: of the reference.
         threads: None takes all cores.
     """
@@ -53,13 +55,11 @@ class Studio:
     samples: str
     environment: Environment
     lights: Lights
+    lit: tuple[str, ...] = LIGHTINGS
+    terms: Terms = field(default_factory=Terms)
+    reach: tuple[int, int] | None = None
     pixel_filter: str = "box"
     threads: int | None = None
-
-    @classmethod
-    def usual(cls, environment: Environment, **settings) -> Studio:  # type: ignore[no-untyped-def]
-        """With the small lights of the renderer."""
-        return cls(environment=environment, lights=light_sets.few(), **settings)
 
     def reference(self, base: Svbrdf, scene: Scene, lit: str) -> Reference:
         """The reference picture with its halves.
@@ -68,14 +68,19 @@ class Studio:
         they leave is kept out of the squared errors by the halves.
         """
         return render_halves(
-            base, scene, self._lights(lit), environment=self._environment(lit), pixel_filter=self.pixel_filter,
-            samples=self.samples if lit == SMALL_LIGHTS else "draft", threads=self.threads,
+            base, scene, self._lights(lit), environment=self._environment(lit), terms=self.terms,
+            pixel_filter=self.pixel_filter, samples=self.samples if lit == SMALL_LIGHTS else "draft", threads=self.threads,
         )  # fmt: skip
 
     def method(self, levels: Sequence[Svbrdf], scene: Scene, lit: str) -> NDArray:
         """(h, w, 3) linear radiance."""
         return render_pyramid(
-            levels, scene, self._lights(lit), environment=self._environment(lit), threads=self.threads
+            levels,
+            scene,
+            self._lights(lit),
+            environment=self._environment(lit),
+            terms=self.terms,
+            threads=self.threads,
         )
 
     def _lights(self, lit: str) -> Lights | None:
@@ -91,9 +96,17 @@ Pyramids = Mapping[str, Sequence[Svbrdf]]
 Told = Callable[[str], None]
 
 
-def distances_of(size: tuple[int, int], levels: int | None = None) -> dict[str, int]:
-    """Level of near, mid and far for a base of this size; distances that fall together are kept."""
+def distances_of(
+    size: tuple[int, int], levels: int | None = None, reach: tuple[int, int] | None = None
+) -> dict[str, int]:
+    """Level of near, mid and far for a base of this size; distances that fall together are kept.
+
+    ``reach``: first and last level that are seen; they are then near and far.
+    """
     last = len(level_sizes(size, levels)) - 1
+    if reach is not None:
+        first, last = min(reach[0], last), min(reach[1], last)
+        return dict(zip(DISTANCES, (first, (first + last) // 2, last), strict=True))
     return {name: min(level, last) for name, level in DISTANCES.items()}
 
 
@@ -108,32 +121,35 @@ def all_views(
         kept: pyramids whose level 0 is as authored; they are seen where level 0 is.
         studio: pixels, lights and samples.
     """
-    near = distances_of(base.size, len(next(iter(pyramids.values()))))
+    levels = distances_of(base.size, len(next(iter(pyramids.values()))), studio.reach)
+    near, main = levels["near"], studio.lit[0]
     pixels = (studio.pixels, studio.pixels)
     small = (studio.pixels * 2 // 3,) * 2  # a pixel under an environment costs ten times as much
     first: dict[str, NDArray] = {}  # what half a pixel is held against
-    for lit in (SMALL_LIGHTS, ENVIRONMENT):
-        for distance, level in near.items():
+    for lit in studio.lit:
+        for distance, level in levels.items():
             told(f"{distance}, {lit}")
             scene = scenes.plane(base.size, level, pixels if lit == SMALL_LIGHTS else small)
             shown = {**pyramids, **kept} if level == 0 else pyramids
             taken = _take(base, shown, scene, lit, studio)
-            if distance == "near" and lit == SMALL_LIGHTS:
+            if distance == "near" and lit == main:
                 first = taken.pictures()
             title = f"Plane, {distance} (level {level}), {lit}"
             view = _view(f"{distance}-{_slug(lit)}", "distance", title, lit, taken, distance, float(level))
             yield view, _displayed(taken.pictures(), view.exposure)
 
     told("half a pixel")
-    moved = scenes.plane(base.size, 0, pixels, shift=_HALF_PIXEL)
-    yield _shift_view(first, _take(base, {**pyramids, **kept}, moved, SMALL_LIGHTS, studio).pictures())
+    shown = {**pyramids, **kept} if near == 0 else pyramids
+    moved = scenes.plane(base.size, near, pixels if main == SMALL_LIGHTS else small, shift=_HALF_PIXEL)
+    yield _shift_view(first, _take(base, shown, moved, main, studio).pictures(), near, main)
 
     told("slow rotation")
-    yield _rotation_view(base, pyramids, kept, studio)
+    yield _rotation_view(base, shown, studio, near)
 
     for scene, lit, title in (
-        (scenes.slanted(base.size, pixels), SMALL_LIGHTS, "Slanted plane through all levels"),
-        (scenes.sphere(base.size, _ball_level(base, pyramids), small), ENVIRONMENT, "Sphere"),
+        (scenes.slanted(base.size, pixels), main, "Slanted plane through all levels"),
+        # Level 2, where bumps have become gloss but not yet all; held to what there is.
+        (scenes.sphere(base.size, min(max(2, near), levels["far"]), small), studio.lit[-1], "Sphere"),
     ):
         told(scene.name)
         taken = _take(base, pyramids, scene, lit, studio)
@@ -193,14 +209,16 @@ def _displayed(radiance: Mapping[str, NDArray], exposure: float) -> dict[str, ND
     return {name: metrics.tone_map(picture, exposure) for name, picture in radiance.items()}
 
 
-def _shift_view(first: Mapping[str, NDArray], moved: Mapping[str, NDArray]) -> tuple[View, dict[str, NDArray]]:
+def _shift_view(
+    first: Mapping[str, NDArray], moved: Mapping[str, NDArray], level: int, lit: str
+) -> tuple[View, dict[str, NDArray]]:
     """What half a pixel changes: pictures of the change, and its mean relative to the reference's own."""
     exposure = metrics.exposure_of(first["reference"])
     frames = {name: np.stack([first[name], moved[name]]) for name in moved}
     shots = _moving_shots(frames)
     view = View(
-        key="shift", group="motion", title="Change by half a pixel, level 0, small lights", lighting=SMALL_LIGHTS,
-        level=0.0, exposure=exposure, reference="reference", shots=shots,
+        key="shift", group="motion", title=f"Change by half a pixel, level {level}, {lit}", lighting=lit,
+        level=float(level), exposure=exposure, reference="reference", shots=shots,
     )  # fmt: skip
     pictures = {}
     for name, pair in frames.items():
@@ -209,18 +227,18 @@ def _shift_view(first: Mapping[str, NDArray], moved: Mapping[str, NDArray]) -> t
     return view, pictures
 
 
-def _rotation_view(base: Svbrdf, pyramids: Pyramids, kept: Pyramids, studio: Studio) -> tuple[View, dict[str, NDArray]]:
+def _rotation_view(base: Svbrdf, pyramids: Pyramids, studio: Studio, near: int) -> tuple[View, dict[str, NDArray]]:
     """A column of pixels while the lights turn slowly, a frame beside the other.
 
     The change is measured over several columns; the one that is shown is that in which the reference moves most.
     """
-    level = _MOTION_LEVEL if len(level_sizes(base.size)) > 1 else 0.0
+    level, lit = min(near + _MOTION_LEVEL, len(level_sizes(base.size)) - 1), studio.lit[0]
     parts = [
         scenes.plane(base.size, level, (studio.pixels, 1), (column * studio.pixels / _COLUMNS, 0.0), i * _ROTATION)
         for column in range(_COLUMNS)
         for i in range(studio.frames)
     ]
-    taken = _take(base, {**pyramids, **kept}, _side_by_side(parts), SMALL_LIGHTS, studio).pictures()
+    taken = _take(base, pyramids, _side_by_side(parts), lit, studio).pictures()
     # (frames, columns, pixels, 3)
     shape = (studio.pixels, _COLUMNS, studio.frames, 3)
     frames = {name: picture.reshape(shape).transpose(2, 1, 0, 3) for name, picture in taken.items()}
@@ -228,8 +246,8 @@ def _rotation_view(base: Svbrdf, pyramids: Pyramids, kept: Pyramids, studio: Stu
     shown = {name: each[:, int(np.argmax(moves))].swapaxes(0, 1) for name, each in frames.items()}
     exposure = metrics.exposure_of(shown["reference"])
     view = View(
-        key="rotation", group="motion", lighting=SMALL_LIGHTS, level=level, exposure=exposure, reference="reference",
-        title=f"A column over {studio.frames} frames of 0.1 degrees, between levels 0 and 1, small lights",
+        key="rotation", group="motion", lighting=lit, level=level, exposure=exposure, reference="reference",
+        title=f"A column over {studio.frames} frames of 0.1 degrees, level {level:g}, {lit}",
         shots=_moving_shots(frames),
     )  # fmt: skip
     return view, _displayed(shown, exposure)
@@ -248,11 +266,6 @@ def _moving_shots(frames: Mapping[str, NDArray]) -> list[Shot]:
         for name, each in frames.items()
         if name != "reference"
     ]
-
-
-def _ball_level(base: Svbrdf, pyramids: Pyramids) -> int:
-    """Level 2, where bumps have become gloss but not yet all; held to what there is."""
-    return min(2, len(next(iter(pyramids.values()))) - 1)
 
 
 def _slug(text: str) -> str:

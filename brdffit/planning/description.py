@@ -23,13 +23,8 @@ from msgspec.structs import replace
 
 from brdffit.errors import InputError
 from brdffit.models import model_names
+from brdffit.planning.effects import NAMES
 from brdffit.textures.presets import preset_names
-
-#: Effects that a scene may switch by hand, in the order in which a plan shows them.
-EFFECTS = (
-    "normal", "anisotropy", "scale", "colour", "correlation", "coupling", "level_0", "refine", "masking", "fresnel",
-    "environment", "horizon",
-)  # fmt: skip
 
 #: The environment that ships, by name.
 PROCEDURAL = "procedural"
@@ -178,7 +173,7 @@ class SceneFile(_Strict, frozen=True, kw_only=True):
         environment: equirectangular .hdr or .exr picture, relative to the scene file (y is up in it and its middle
             column lies behind the surface, at -z); "procedural": the one that ships; None: none.
         target, budget: of the bake.
-        effects: by name (``EFFECTS``): "auto" leaves the verdict to the plan.
+        effects: by name (``effects.NAMES``): "auto" leaves the verdict to the plan.
         model, quality, pixel_filter: as the options of ``brdffit bake``.
     """
 
@@ -248,7 +243,7 @@ def parse_scene(text: str, path: str | Path) -> SceneFile:
     for where, kind, name, known in (
         ("target.preset", "preset", scene.target.preset, preset_names()),
         ("model", "model", scene.model, model_names()),
-        *(("effects", "effect", name, EFFECTS) for name in scene.effects),
+        *(("effects", "effect", name, NAMES) for name in scene.effects),
     ):
         if name not in known:
             _refuse(path, where, f"there is no {kind} '{name}'{_nearest(name, known)}, known are {', '.join(known)}")

@@ -11,11 +11,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from brdffit.methods import BakeOptions
 from brdffit.render.terms import Terms
-from brdffit.svbrdf import Svbrdf
 
 
 @dataclass(frozen=True)
@@ -138,12 +135,3 @@ def setup(options: BakeOptions, off: Collection[str] = (), tolerance: float = 0.
     return Setup(
         dataclasses.replace(options, **changes), tuple(unread), Terms(**terms), environment="environment" not in off
     )
-
-
-def as_read(base: Svbrdf, unread: Collection[str]) -> Svbrdf:
-    """The base as it is when these maps are not read (``to_svbrdf(..., without=unread)`` without reading again)."""
-    if "normal" not in unread:
-        return base
-    flat = np.zeros_like(base.normal)
-    flat[..., 2] = 1.0
-    return base.replace(normal=flat, height=None)

@@ -25,7 +25,7 @@ def settled(scene: SceneFile, base: Svbrdf, reach: tuple[int, int]) -> dict[str,
     preset, model = get_preset(scene.target.preset), get_model(scene.model)
     found: dict[str, Fact] = {}
     if reach[0] > 0:
-        found["level_0"] = Fact(False, "no camera comes near enough to see level 0", "a nearer camera, or a longer lens")
+        found["level_0"] = Fact(False, "no camera comes near enough to see it", "a nearer camera")
     elif scene.model != base.model:
         found["level_0"] = Fact(True, f"the set is authored for {base.model}, so level 0 is fitted", "its own model")
     if preset.lobe == "isotropic":

@@ -16,6 +16,7 @@ from brdffit.errors import InputError
 from brdffit.planning.description import PROCEDURAL, Light, SceneFile, Surface
 from brdffit.planning.reach import GRAZING, shown_turn
 from brdffit.render.environment import Environment
+from brdffit.render.lights import Lights
 from brdffit.render.metrics import LUMINANCE
 from brdffit.render.shading import into_frame
 
@@ -67,6 +68,24 @@ def directions(
     return both[:, :, 0].copy(), both[:, :, 1].copy(), np.full((texels, pairs), 1.0 / pairs)
 
 
+def lights_of(scene: SceneFile) -> Lights | None:
+    """The lights of a scene as the renderer takes them (sizes are left out), or None."""
+    if not scene.lights:
+        return None
+    return Lights(np.array([each.direction for each in scene.lights]), np.array([each.rgb for each in scene.lights]))
+
+
+def environment_of(scene: SceneFile) -> Environment | None:
+    """The environment of a scene, or None.
+
+    Raises:
+        InputError: when it cannot be read.
+    """
+    if scene.environment is None:
+        return None
+    return read_environment(None if scene.environment == PROCEDURAL else scene.environment)
+
+
 class _Sources:
     """What lights a scene, and how much of it each is."""
 
@@ -74,8 +93,8 @@ class _Sources:
         self.lights: tuple[Light, ...] = scene.lights
         self.around: NDArray | None = None
         luminance = [float(np.dot(LUMINANCE, light.rgb)) for light in scene.lights]
-        if scene.environment is not None:
-            environment: Environment = read_environment(None if scene.environment == PROCEDURAL else scene.environment)
+        environment = environment_of(scene)
+        if environment is not None:
             self.around = environment.samples(_ENVIRONMENT_DIRECTIONS)[0]
             luminance.append(float(LUMINANCE @ environment.total()))
         total = sum(luminance)

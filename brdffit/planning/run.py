@@ -26,7 +26,9 @@ def plan_scene(scene: SceneFile, name: str, seed: int = 0, threads: int | None =
         InputError: for a set or an environment that cannot be used.
     """
     surfaces = tuple(SurfaceWork(scene, surface, seed, threads).plan(tell) for surface in scene.surfaces)
-    return Plan(scene=name, seed=seed, budget_db=scene.budget.db, budget_seconds=scene.budget.seconds, surfaces=surfaces)
+    return Plan(
+        scene=name, seed=seed, budget_db=scene.budget.db, budget_seconds=scene.budget.seconds, surfaces=surfaces
+    )
 
 
 def bake_scene(

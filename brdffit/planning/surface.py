@@ -94,7 +94,7 @@ class SurfaceWork:
         )  # fmt: skip
 
     def outcome(self, planned: SurfacePlan, pyramid: Pyramid, seconds: float) -> tuple[Outcome, Loss]:
-        """What became of a plan: seconds of the fit, SNR, and the loss against everything on; on texels of this seed."""
+        """What became of a plan, on texels of this seed: seconds and SNR, and what is lost against everything on."""
         base = to_svbrdf(self.texture_set)
         seen = reached_levels(self.scene, self.surface, base.size)
         sample = self._sample(base, seen)

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from brdffit.errors import OutputError
-from brdffit.planning.description import EFFECTS
+from brdffit.planning.effects import NAMES
+from brdffit.textures.atomic import write_text
 from brdffit.textures.materials import SUFFIXES
 
 TEMPLATE = """\
@@ -80,7 +81,7 @@ def template(sets: Sequence[str | Path] = (), folder: Path | None = None) -> str
         parts = [part for part in named.parts if part not in ("..", "/")]
         name = ".".join(parts) if ends.count(named.name) > 1 else ""
         surfaces.append(_SURFACE.format(set=_quoted(path), name=_quoted(name)))
-    effects = "".join(f'# {name} = "auto"\n' for name in EFFECTS)
+    effects = "".join(f'# {name} = "auto"\n' for name in NAMES)
     return TEMPLATE.format(surfaces="\n".join(surfaces), effects=effects)
 
 
@@ -94,14 +95,7 @@ def write_template(path: str | Path, sets: Sequence[str | Path] = (), force: boo
     if path.exists() and not force:
         raise OutputError(f"'{path}' is there already, expected a name that is free, or --force to replace it.")
     text = template(sets, path.resolve().parent)
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        raise OutputError(f"'{path}' could not be written: {error.strerror}.") from error
-    finally:
-        part.unlink(missing_ok=True)
+    write_text(path, text)
     return path
 
 

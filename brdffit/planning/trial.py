@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from brdffit.fitting.sampling import LevelSample
 from brdffit.halfangle.measure import random_texels
 from brdffit.methods import BakeOptions
-from brdffit.planning.effects import Setup, as_read
+from brdffit.planning.effects import Setup
 from brdffit.render.pairs import pair_errors
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -81,7 +81,7 @@ class Sample:
 
     def versions(self, setup: Setup) -> list[Svbrdf]:
         """The sampled texels of each level as (n, 1) images, fitted as this setup has it."""
-        base = as_read(self.base, setup.unread)
+        base = self.base.without(setup.unread)
         return [self._version(base, level, setup.options) for level in self.levels]
 
     def picked(self, levels: Sequence[Svbrdf]) -> list[Svbrdf]:
@@ -99,7 +99,10 @@ class Sample:
         return Svbrdf(**arrays, model=sample.target.name, wrap=base.wrap, shape=shape)
 
     def errors(
-        self, versions: Sequence[Sequence[Svbrdf]], terms: Terms = Terms(), draw: Draw | None = None  # noqa: B008
+        self,
+        versions: Sequence[Sequence[Svbrdf]],
+        terms: Terms = Terms(),
+        draw: Draw | None = None,
     ) -> Errors:
         """Squared errors of M versions (each a list over the levels) against everything that the base holds."""
         found = Errors([], [])
@@ -142,7 +145,7 @@ class Sample:
                 counts.append(1)
                 extra.append(0.0)
                 continue
-            base = as_read(self.base, setup.unread)
+            base = self.base.without(setup.unread)
             start = time.perf_counter()
             first = self._level_sample(base, level, count, setup.options)
             settings = first.settings()

@@ -30,6 +30,23 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 _STALE_SECONDS = 24 * 3600.0
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a file in full or not at all; its folder is made.
+
+    Raises:
+        OutputError: when it cannot be written; then what was there still is.
+    """
+    fresh = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        fresh.write_text(text, encoding="utf-8")
+        fresh.replace(path)
+    except OSError as error:
+        raise OutputError(f"'{path}' could not be written: {error.strerror or error}.") from error
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
 def first_other(folder: Path, ours: Collection[str]) -> str | None:
     """The first file below ``folder`` that is none of ``ours`` (relative paths with "/"), as such a path; or None."""
     for parent, folders, files in os.walk(folder):

@@ -1,8 +1,10 @@
-"""What people see of a plan: a table a surface, or one of all surfaces, and the JSON file."""
+"""The command ``plan`` and baking by a plan: what they show in a terminal, and the JSON file."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 from rich.box import SIMPLE_HEAD
@@ -10,11 +12,53 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from brdffit.planning.description import SceneFile, read_scene
 from brdffit.planning.plan import EffectRow, Plan, SurfacePlan
 from brdffit.textures.atomic import write_text
 
+if TYPE_CHECKING:
+    from brdffit.baking import BakeReport
+
 #: Columns where no terminal sets them.
 _PIPED_WIDTH = 160
+
+
+def make_plan(
+    path: Path, sets: Sequence[Path] = (), seed: int = 0, threads: int | None = None
+) -> tuple[SceneFile, Plan]:
+    """Read a scene file and plan it, with a line on standard error for what is being measured.
+
+    Args:
+        sets: texture sets that stand in for the scene's surfaces, each as its first surface is.
+
+    Raises:
+        InputError: as ``read_scene`` and ``plan_scene``.
+    """
+    # Heavy: numba and the kernels behind it.
+    from brdffit.planning.run import plan_scene
+
+    scene = read_scene(path)
+    if sets:
+        first = scene.surfaces[0]
+        surfaces = tuple(msgspec.structs.replace(first, set=str(each), name=each.stem) for each in sets)
+        scene = msgspec.structs.replace(scene, surfaces=surfaces)
+    with Console(stderr=True, highlight=False, markup=False).status("") as status:
+        return scene, plan_scene(scene, path.name, seed, threads, lambda text: status.update(text))
+
+
+def bake_by_plan(path: Path, output: Path, *, preview: bool, threads: int | None) -> list[BakeReport]:
+    """Plan a scene, show the plan, and bake its surfaces.
+
+    Raises:
+        InputError, OutputError: as ``make_plan`` and ``bake_scene``.
+    """
+    from brdffit.console import BakeDisplay
+    from brdffit.planning.run import bake_scene
+
+    scene, plan = make_plan(path, threads=threads)
+    print_plan(plan)
+    with BakeDisplay() as display:
+        return bake_scene(scene, plan, output, preview=preview, threads=threads, progress=display)
 
 
 def print_plan(plan: Plan, short: bool = False) -> None:
@@ -56,10 +100,10 @@ def _print_surface(console: Console, surface: SurfacePlan, budget: float) -> Non
     if surface.unread:
         console.print(f"Not read: {', '.join(surface.unread)}.")
     everything, planned = surface.everything, surface.planned
+    lost = f"{max(surface.lost_db, 0.0):.3f} dB are given up, at most {surface.lost_at_most_db:.3f} (budget {budget:g})"
     console.print(
         f"Everything on: {everything.seconds:.1f} s, {everything.snr_db:.1f} dB. Planned: {planned.seconds:.1f} s, "
-        f"{planned.snr_db:.1f} dB; {max(surface.lost_db, 0.0):.3f} dB are given up, at most {surface.lost_at_most_db:.3f} "
-        f"(budget {budget:g}).",
+        f"{planned.snr_db:.1f} dB; {lost}.",
         soft_wrap=True,
     )
     for note in surface.notes:
