@@ -22,7 +22,7 @@ from brdffit.models import get_model
 from brdffit.render.preview import make_preview
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures import export
-from brdffit.textures.conversion import to_svbrdf
+from brdffit.textures.conversion import to_svbrdf, unread_roles
 from brdffit.textures.manifest import build_manifest
 from brdffit.textures.presets import get_preset
 from brdffit.textures.texture_set import TextureSet, read_texture_set
@@ -76,6 +76,7 @@ def bake(
     normal_y: str | None = None,
     wrap: str = "tile",
     height_scale: float | None = None,
+    without: Collection[str] = (),
     progress: ProgressListener | None = None,
     **options: Any,
 ) -> Pyramid:
@@ -86,6 +87,7 @@ def bake(
         method: see ``brdffit methods``.
         preset: an engine's preset; says whether the specular scale and the anisotropy can be stored.
         roles, normal_y, wrap, height_scale: how a folder is read, see ``read_texture_set``.
+        without: roles of a set that are not read, see ``to_svbrdf``; without "normal" the normal is held.
         progress: told of phases and texels.
         options: fields of ``BakeOptions``.
 
@@ -93,11 +95,11 @@ def bake(
         InputError: for a source that cannot be used.
         UnknownNameError: for an unknown name.
     """
-    chosen, asked = get_method(method), bake_options(preset, options)
+    chosen, asked = get_method(method), _without_normals(bake_options(preset, options), without)
     phases = _Phases(progress)
     with phases("reading"):
-        texture_set = _texture_set(source, roles, normal_y, wrap, height_scale)
-        svbrdf = source if isinstance(source, Svbrdf) else _svbrdf(texture_set, asked)
+        texture_set = _texture_set(source, roles, normal_y, wrap, height_scale, without)
+        svbrdf = source if isinstance(source, Svbrdf) else _svbrdf(texture_set, asked, without)
     return _run(chosen, svbrdf, asked, phases, progress)
 
 
@@ -113,9 +115,9 @@ def bake_to_folder(
     normal_y: str | None = None,
     wrap: str = "tile",
     height_scale: float | None = None,
+    without: Collection[str] = (),
     progress: ProgressListener | None = None,
     name: str | None = None,
-    without: Collection[str] = (),
     annotate: Annotate | None = None,
     **options: Any,
 ) -> BakeReport:
@@ -128,10 +130,10 @@ def bake_to_folder(
         InputError, UnknownNameError: as ``bake``.
         OutputError: when the folder cannot be written; found out before the work where possible.
     """
-    chosen, asked = get_method(method), bake_options(preset, options)
+    chosen, asked = get_method(method), _without_normals(bake_options(preset, options), without)
     phases = _Phases(progress)
     with phases("reading"):
-        texture_set = _texture_set(source, roles, normal_y, wrap, height_scale)
+        texture_set = _texture_set(source, roles, normal_y, wrap, height_scale, without)
         name = name or (texture_set.name if texture_set else "svbrdf")
         folder = Path(output) / name
         export.check_writable(folder)
@@ -155,7 +157,7 @@ def bake_to_folder(
         manifest = build_manifest(
             pyramid,
             name=name,
-            inputs=((role, path) for role, path in inputs_of(texture_set) if role not in without),
+            inputs=inputs_of(texture_set, without),
             conventions=conventions_of(texture_set),
             status_names=STATUS_NAMES,
             measured=measured,
@@ -219,32 +221,42 @@ def _run(
     prepare = getattr(method, "prepare", None)
     if prepare is not None:
         with phases("compiling"):
-            prepare(options.model, svbrdf.model)
+            prepare(options.model, svbrdf.model, options)
     with phases("fitting"):
         return method.bake(svbrdf, options, progress)
 
 
 def _texture_set(
-    source: Source, roles: Mapping[str, str] | None, normal_y: str | None, wrap: str, height_scale: float | None
-) -> TextureSet | None:
+    source: Source, roles: Mapping[str, str] | None, normal_y: str | None, wrap: str, height_scale: float | None,
+    without: Collection[str],
+) -> TextureSet | None:  # fmt: skip
     """The set behind a source, or None for an Svbrdf."""
     if isinstance(source, Svbrdf):
         return None
     if isinstance(source, TextureSet):
         return source
-    return read_texture_set(source, roles=roles, normal_y=normal_y, wrap=wrap, height_scale=height_scale)
+    return read_texture_set(
+        source, roles=roles, normal_y=normal_y, wrap=wrap, height_scale=height_scale, without=without
+    )
 
 
-def _svbrdf(texture_set: TextureSet | None, options: BakeOptions, without: Collection[str] = ()) -> Svbrdf:
+def _svbrdf(texture_set: TextureSet | None, options: BakeOptions, without: Collection[str]) -> Svbrdf:
     assert texture_set is not None
     return to_svbrdf(texture_set, min_roughness=options.min_roughness, without=without)
 
 
-def inputs_of(texture_set: TextureSet | None) -> Iterator[tuple[str, Path]]:
+def _without_normals(options: BakeOptions, without: Collection[str]) -> BakeOptions:
+    """Where all normals are z, the normal is held: there is nothing to search."""
+    return dataclasses.replace(options, normal="mean") if "normal" in without else options
+
+
+def inputs_of(texture_set: TextureSet | None, without: Collection[str] = ()) -> Iterator[tuple[str, Path]]:
     """(role, path) of every file that was read."""
     if texture_set is not None:
+        unread = unread_roles(texture_set, without)
         for role, named in texture_set.maps.items():
-            yield role, named.path
+            if role not in unread:
+                yield role, named.path
         if texture_set.entry is not None:
             yield "material", texture_set.entry
 

@@ -149,6 +149,20 @@ def filter_channels(image: NDArray, size: tuple[int, int], pixel_filter: PixelFi
     return out
 
 
+def filter_texels(
+    image: NDArray, size: tuple[int, int], pixel_filter: PixelFilter, wrap: str, columns: NDArray, rows: NDArray
+) -> NDArray:
+    """Texels (columns[i], rows[i]) of ``filter_channels`` alone, (n, C) float32; their number tells the cost."""
+    down = axis_matrix(pixel_filter, image.shape[0], size[0], wrap)
+    across = axis_matrix(pixel_filter, image.shape[1], size[1], wrap)
+    out = np.empty((len(columns), image.shape[2]), np.float32)
+    for i, (column, row) in enumerate(zip(columns, rows, strict=True)):
+        y, x = (slice(matrix.indptr[k], matrix.indptr[k + 1]) for matrix, k in ((down, row), (across, column)))
+        part = image[down.indices[y][:, None], across.indices[x]]
+        out[i] = across.data[x] @ np.tensordot(down.data[y], part, axes=1)
+    return out
+
+
 def iter_pyramid(
     image: NDArray, sizes: Sequence[tuple[int, int]], pixel_filter: PixelFilter, wrap: str
 ) -> Iterator[NDArray]:

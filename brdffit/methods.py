@@ -25,6 +25,7 @@ Progress = Callable[[int, int, int], None]
 
 QUALITIES = ("draft", "standard", "fine")
 LOSSES = ("l2", "relative", "l1")
+COLOURS = ("channels", "shared")
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,15 @@ class BakeOptions:
         normal: "free" or "mean" (held at the mean normal).
         density: "cosine" or "uniform": how l and v are distributed in the error integral.
         min_roughness: perceptual roughness floor, in (0, 1].
+        reach: first and last level that any pixel reads; only they are fitted, the others are averaged channel by
+            channel. Beyond the coarsest level, the coarsest is meant. None: all.
+        colour: "channels" (what is best for red, green and blue together) or "shared" (the luminance is fitted; its
+            scale times the filtered colour's hue).
+        correlation: whether colours weigh the lobes of a footprint. Without, all lobes count alike, and the fitted
+            scale multiplies the filtered colour; ``colour`` then says nothing.
+        coupling: whether diffuse colour and normal are averaged together (bright sides of bumps stay bright). Without,
+            diffuse colour is averaged alone.
+        horizon: whether lobes end at their own horizon, n.h = 0, in the search.
         threads: worker threads; None takes all cores. The result does not depend on it.
     """
 
@@ -64,6 +74,11 @@ class BakeOptions:
     normal: str = "free"
     density: str = "cosine"
     min_roughness: float = DEFAULT_MIN_ROUGHNESS
+    reach: tuple[int, int] | None = None
+    colour: str = "channels"
+    correlation: bool = True
+    coupling: bool = True
+    horizon: bool = True
     threads: int | None = None
 
 
@@ -74,7 +89,8 @@ class Level:
     Attributes:
         svbrdf: the level's own parameters.
         status: (H, W) uint8, index into ``brdffit.fitting.status.STATUSES``; None for closed forms.
-        residual: (H, W) float32 relative squared error as the method itself saw it; None for closed forms.
+        residual: (H, W) float32 relative squared error as the method itself saw it (with effects off, of what it then
+            saw); None for closed forms.
         evaluations: (H, W) uint16 objective evaluations; None for closed forms.
         seconds: wall-clock seconds spent on this level.
     """

@@ -132,7 +132,7 @@ class SetWork:
             prepare = getattr(method, "prepare", None)
             if prepare is not None:
                 with self._phase("compiling"):
-                    prepare(options.model, self.base.model)
+                    prepare(options.model, self.base.model, options)
             with self._phase("baking", f"baking by {name} ({number + 1} of {len(self.methods)})"):
                 start = time.perf_counter()
                 try:

@@ -18,7 +18,6 @@ from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
 from brdffit.halfangle.closed_forms import STARTS
 from brdffit.halfangle.quadrature import lattice
-from brdffit.models import Model
 
 #: How many point sets a level has.
 TIERS = 3
@@ -108,37 +107,70 @@ class ModelKernels(NamedTuple):
 
 
 @cache
-def model_kernels(source: str, target: str, float_width: int = 32) -> ModelKernels:
-    """Specialise the loops for a source and a target model, in float32 or float64 sums."""
+def model_kernels(
+    source: str, target: str, float_width: int = 32, *, horizon: bool = True, turns: bool = True, stretches: bool = True
+) -> ModelKernels:
+    """Specialise the loops for a source and a target model, in float32 or float64 sums.
+
+    ``horizon`` False: lobes go on beyond their own horizon. ``turns``, ``stretches`` False: for searches that hold the
+    normal, or a round lobe. What a kernel is not asked for it has no code for.
+    """
     from brdffit.models import get_model
 
     source_model, target_model = get_model(source), get_model(target)
-    real = np.float32 if float_width == 32 else np.float64
-    floats = types.float32 if float_width == 32 else types.float64
-    read, write = _suffix(source_model, float_width), _suffix(target_model, float_width)
     kernels = ModelKernels(
-        tabulate=specialise(quadrature.tabulate, read, profile=source_model.profile, real=real),
-        moments=specialise(objective.moments, write, profile_gradient=target_model.profile_gradient, real=real),
-        values=specialise(objective.lobe_values, write, profile=target_model.profile, real=real),
+        tabulate=_tabulate(source, float_width, horizon),
+        moments=_moments(target, float_width, horizon, turns, stretches),
+        values=_values(target, float_width, horizon),
         log_normalisation=target_model.log_normalisation,
         source_log_normalisation=source_model.log_normalisation,
     )
     _compile(kernels.log_normalisation, (types.float64,))
     _compile(kernels.source_log_normalisation, (types.float64,))
-    _compile(kernels.tabulate, quadrature.tabulate_type(floats).signature.args)
-    _compile(kernels.moments, objective.moments_type(floats).signature.args)
-    _compile(kernels.values, objective.lobe_values_type(floats).signature.args)
     return kernels
+
+
+@cache
+def _tabulate(model: str, float_width: int, horizon: bool) -> Any:
+    made = _specialised(quadrature.tabulate, model, float_width, "profile", HORIZON=horizon)
+    _compile(made, quadrature.tabulate_type(_floats(float_width)).signature.args)
+    return made
+
+
+@cache
+def _moments(model: str, float_width: int, horizon: bool, turns: bool, stretches: bool) -> Any:
+    switches = {"HORIZON": horizon, "TURNS": turns, "STRETCHES": stretches}
+    made = _specialised(objective.moments, model, float_width, "profile_gradient", **switches)
+    _compile(made, objective.moments_type(_floats(float_width)).signature.args)
+    return made
+
+
+@cache
+def _values(model: str, float_width: int, horizon: bool) -> Any:
+    made = _specialised(objective.lobe_values, model, float_width, "profile", HORIZON=horizon)
+    _compile(made, objective.lobe_values_type(_floats(float_width)).signature.args)
+    return made
+
+
+def _specialised(template: Any, model: str, float_width: int, function: str, **switches: bool) -> Any:
+    """``template`` with a model's function, and without the code of the switches that are off."""
+    from brdffit.models import get_model
+
+    real = np.float32 if float_width == 32 else np.float64
+    off = [name for name, on in switches.items() if not on]
+    suffix = "_".join(["", model.replace("-", "_"), str(float_width), *(f"no_{name.lower()}" for name in off)])
+    bindings = {function: getattr(get_model(model), function), "real": real, **dict.fromkeys(off, False)}
+    return specialise(template, suffix, **bindings)
+
+
+def _floats(float_width: int) -> Any:
+    return types.float32 if float_width == 32 else types.float64
 
 
 def _compile(dispatcher: Any, arguments: tuple[Any, ...]) -> None:
     """Compile (or load) one signature, so that the function can be handed over as a value of function type."""
     if arguments not in dispatcher.overloads:
         dispatcher.compile(arguments)
-
-
-def _suffix(model: Model, float_width: int) -> str:
-    return f"_{model.name.replace('-', '_')}_{float_width}"
 
 
 @cache

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import os
 import time
+from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
+from brdffit.fitting.averaging import averaged_levels
 from brdffit.fitting.batch import (
     LevelRules,
     ModelKernels,
@@ -21,12 +23,13 @@ from brdffit.fitting.batch import (
     model_kernels,
 )
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
+from brdffit.fitting.effects import Seen, complete, kernels_of, reached, seen_by
 from brdffit.fitting.losses import LOSS_CODES
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.refine import refine_pyramid
-from brdffit.fitting.status import FALLBACK, KEPT
+from brdffit.fitting.status import FALLBACK, KEPT, NOT_REACHED
 from brdffit.fitting.texel import Search
-from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter
+from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter, iter_pyramid
 from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, strata
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import random_texels
@@ -51,49 +54,74 @@ class NonlinearFit:
     name = "bfgs"
     summary = "nonlinear fit of the lobe to the filtered lobes, by BFGS on the half-angle error integral (default)"
 
-    def prepare(self, model: str, source_model: str = "ggx") -> None:
+    def prepare(self, model: str, source_model: str = "ggx", options: BakeOptions | None = None) -> None:
         """Compile (or load from the cache) what a bake needs, so that it is told apart from the fitting time."""
         fitting_kernel()
         model_kernels(source_model, model)
+        if options is not None:
+            kernels_of(options, get_model(source_model), get_model(model))
 
     def bake(self, svbrdf: Svbrdf, options: BakeOptions, progress: Progress | None = None) -> Pyramid:
         """Fit every level from the base.
 
         Raises:
             UnknownNameError: for an unknown model, pixel filter, quality, or kind of fit.
-            InputError: when the base holds a number that is not finite.
+            InputError: when the base holds a number that is not finite, or the reach is no range of levels.
         """
         target, source = get_model(options.model), get_model(svbrdf.model)
         pixel_filter, quality = get_pixel_filter(options.pixel_filter), quality_of(options)
         if not svbrdf.is_finite():
             raise InputError("The SVBRDF holds numbers that are not finite; every texel must be a finite number.")
         # Compiled before the threads start: two at once would both try.
-        self.prepare(target.name, source.name)
-        kernels = model_kernels(source.name, target.name)
+        fitting_kernel()
+        kernels = kernels_of(options, source, target)
         base = base_of(svbrdf, source.default_shape)
+        seen = seen_by(base, options)
         search = search_settings(options, quality, base, source, target)
         sizes = level_sizes(svbrdf.size, options.levels)
+        fitted = reached(options.reach, len(sizes))
+        kept = 1 if options.keep_level_0 else 0
+        authored = kept if source.name == target.name else 0
+        searched = [size for k, size in enumerate(sizes) if k >= authored and k in fitted]
+        plain = averaged_levels(svbrdf, [size for size in sizes[authored:] if size not in searched], options, target)
+        averages = _averages(seen, svbrdf.wrap, searched, pixel_filter, point=kept > authored and 0 in fitted)
         pyramid = Pyramid(self.name, options, [])
         level_samplings = []
         for mip_level, size in enumerate(sizes):
             start = time.perf_counter()
-            kept = mip_level == 0 and options.keep_level_0
-            rules = level_rules(pixel_filter, svbrdf.size, size, mip_level, quality, point=kept)
+            rules = level_rules(pixel_filter, svbrdf.size, size, mip_level, quality, point=mip_level < kept)
             level_samplings.append(rules)
-            if kept and source.name == target.name:
+            if mip_level < authored:
                 level = Level(svbrdf.replace(height=None), status=np.full(size, KEPT, np.uint8))
+            elif mip_level not in fitted:
+                level = Level(next(plain), status=np.full(size, NOT_REACHED, np.uint8))
             else:
-                level_search = tolerant(search, options, base, rules, size, mip_level, kernels)
-                output = _fit_level(base, rules, size, level_search, kernels, options.threads, mip_level, progress)
+                level_search = tolerant(search, options, seen.base, rules, size, mip_level, kernels)
+                output = _fit_level(seen.base, rules, size, level_search, kernels, options.threads, mip_level, progress)
+                complete(output, seen, next(averages))
                 level = _level(output, size, svbrdf, target, pixel_filter)
             level.seconds = time.perf_counter() - start
             pyramid.levels.append(level)
         if options.refine:
-            refine_pyramid(pyramid, base, level_samplings, search, kernels, first=1 if options.keep_level_0 else 0)
+            # What no pixel reads is no part of it. Interpolation is judged with every effect but the horizon's.
+            read = Pyramid(self.name, options, pyramid.levels[: fitted[-1] + 1])
+            refine_pyramid(read, base, level_samplings, search, kernels, first=max(kept, fitted[0]))
+            pyramid.notes += read.notes
         failed = sum(int((level.status == FALLBACK).sum()) for level in pyramid.levels if level.status is not None)
         if failed:
             pyramid.notes.append(f"The search failed for {failed} texels; they hold their closed-form start.")
         return pyramid
+
+
+def _averages(
+    seen: Seen, wrap: str, sizes: list[tuple[int, int]], pixel_filter: PixelFilter, point: bool
+) -> Iterator[dict[str, NDArray]]:
+    """What ``complete`` wants of each level, images as (texels, 3); ``point``: the first level is the base itself."""
+    images = seen.averaged
+    pyramids = {name: iter_pyramid(image, sizes[point:], pixel_filter, wrap) for name, image in images.items()}
+    for k in range(len(sizes)):
+        level = images if point and k == 0 else {name: next(pyramid) for name, pyramid in pyramids.items()}
+        yield {name: image.reshape(-1, 3) for name, image in level.items()}
 
 
 def level_rules(

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.fitting.batch import LevelRules, ModelKernels, Output, fit_texels, make_output, model_kernels
+from brdffit.fitting.effects import Seen, complete, kernels_of, seen_by
 from brdffit.fitting.method import level_rules, search_settings, tolerant
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.texel import Search
-from brdffit.footprint import get_pixel_filter
+from brdffit.footprint import filter_texels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import DENSE_NODES, DENSE_SAMPLES, Measured, measure_lobes
@@ -41,7 +42,8 @@ class LevelSample:
         svbrdf: the base.
         mip_level: the level.
         columns, rows: (n,) int64.
-        options: of the bake; ``quality`` and ``specular`` may be given anew for each fit.
+        options: of the bake; quality, what is free and the effects may be given anew for each fit. A level out of reach
+            is fitted all the same: that is what reaching it would bring.
         threads: worker threads; None takes all cores.
     """
 
@@ -55,19 +57,30 @@ class LevelSample:
         self.target: Model = get_model(self.options.model)
         self.base = base_of(svbrdf, self.source.default_shape) if base is None else base
         self.base_size, self.size = svbrdf.size, level_sizes(svbrdf.size, mip_level + 1)[mip_level]
+        self._seen: dict[tuple[str, bool, bool], Seen] = {}
+        self._averages: dict[tuple[str, str], NDArray] = {}
 
     def __len__(self) -> int:
         return len(self.columns)
 
     def kernels(self, float_width: int = 32) -> ModelKernels:
-        """Kernels of the base's and the level's model."""
+        """Kernels of the base's and the level's model, with all effects."""
         return model_kernels(self.source.name, self.target.name, float_width)
 
     def subset(self, count: int) -> LevelSample:
         """The first ``count`` texels."""
         few = copy.copy(self)
         few.columns, few.rows = self.columns[:count], self.rows[:count]
+        few._averages = {name: average[:count] for name, average in self._averages.items()}
         return few
+
+    def seen(self, options: BakeOptions | None = None) -> Seen:
+        """What a fit under these options sees of the base; made once."""
+        options = options or self.options
+        effects = options.colour, options.correlation, options.coupling
+        if effects not in self._seen:
+            self._seen[effects] = seen_by(self.base, options)
+        return self._seen[effects]
 
     def settings(self, options: BakeOptions | None = None, quality: Quality | None = None) -> tuple[LevelRules, Search]:
         """How this level is sampled and searched; under a tolerance it costs a few hundred fits to know."""
@@ -76,7 +89,8 @@ class LevelSample:
         pixel_filter = get_pixel_filter(options.pixel_filter)
         rules = level_rules(pixel_filter, self.base_size, self.size, self.mip_level, chosen)
         search = search_settings(options, chosen, self.base, self.source, self.target)
-        return rules, tolerant(search, options, self.base, rules, self.size, self.mip_level, self.kernels())
+        base, kernels = self.seen(options).base, kernels_of(options, self.source, self.target)
+        return rules, tolerant(search, options, base, rules, self.size, self.mip_level, kernels)
 
     def fit(
         self, options: BakeOptions | None = None, quality: Quality | None = None, float_width: int = 32,
@@ -84,21 +98,35 @@ class LevelSample:
     ) -> tuple[Lobes, Output]:  # fmt: skip
         """The lobes of these texels, and all that the fit says of them.
 
-        ``quality`` overrides the preset of the options, ``settings`` what ``settings()`` would find.
+        ``quality`` overrides the preset of the options, ``settings`` what ``settings()`` would find (effects are those
+        of the options in any case).
         """
+        options = options or self.options
         rules, search = settings or self.settings(options, quality)
-        output, kernels = make_output(len(self)), self.kernels(float_width)
+        seen, output = self.seen(options), make_output(len(self))
+        kernels = kernels_of(options, self.source, self.target, float_width)
 
         def work(part: slice) -> None:
             own = Output(*(array[part] for array in output))
-            fit_texels(self.base, rules, self.columns[part], self.rows[part], search, own, kernels, float_width)
+            fit_texels(seen.base, rules, self.columns[part], self.rows[part], search, own, kernels, float_width)
 
         self._in_parts(work)
+        complete(output, seen, {name: self._average(name, seen, options.pixel_filter) for name in seen.averaged})
         normal = output.normal.astype(np.float64)
         theta = np.zeros((len(self), 6))
         theta[:, 0:2] = -normal[:, 0:2] / np.maximum(normal[:, 2:3], 1e-3)
         theta[:, 2:5], theta[:, 5] = output.log_roughness, output.shape
         return Lobes(theta, output.specular.astype(np.float64)), output
+
+    def _average(self, name: str, seen: Seen, pixel_filter: str) -> NDArray:
+        """Averages (n, 3) of an image that the fit does not see; made once."""
+        key = name, pixel_filter
+        if key not in self._averages:
+            wrap = "tile" if self.base.tile else "clamp"
+            self._averages[key] = filter_texels(
+                seen.averaged[name], self.size, get_pixel_filter(pixel_filter), wrap, self.columns, self.rows
+            )
+        return self._averages[key]
 
     def measure(
         self, versions: list[Lobes], nodes: int = DENSE_NODES, samples: tuple[int, int] = DENSE_SAMPLES

@@ -11,6 +11,7 @@ PRECISION_LIMIT = 5
 FALLBACK = 6
 NO_SPECULAR = 7
 CLOSED_FORM = 8
+NOT_REACHED = 9
 
 #: Name and what it means, with advice where there is any; the index is what ``Level.status`` holds.
 STATUSES: tuple[tuple[str, str], ...] = (
@@ -23,6 +24,7 @@ STATUSES: tuple[tuple[str, str], ...] = (
     ("fallback", "The search failed; the texel holds its closed-form start."),
     ("no specular", "The footprint reflects nothing specularly; normal and roughness were fitted as if it were white."),
     ("closed form", "The closed-form lobe is within the tolerance that was asked for; nothing was searched."),
+    ("not reached", "No pixel reads this level; its channels were averaged, each for itself."),
 )
 
 STATUS_NAMES = tuple(name for name, _ in STATUSES)

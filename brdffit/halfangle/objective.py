@@ -34,10 +34,12 @@ import numpy as np
 
 from brdffit._jit import inline, kernel, types
 from brdffit.halfangle.frame import lobe_frame, tangent_frame
-from brdffit.halfangle.quadrature import H_X, H_Y, H_Z, WEIGHT
+from brdffit.halfangle.quadrature import H_X, H_Y, H_Z, HORIZON, WEIGHT
 from brdffit.models.ggx import profile, profile_gradient  # bound anew for other models
 
 real = np.float32
+# Whether the search turns the normal, and stretches the tensor: kernels bound to False leave those moments out.
+TURNS = STRETCHES = True
 
 #: n.h over which the search lets a lobe fade out at its horizon.
 RIM = 0.05
@@ -53,6 +55,9 @@ def moments(nodes, frame, shape, out):
     """Sums over the nodes, for the target (out[0:9], weight W S) and the lobe itself (out[9:18], weight 2 W g):
     value, then q-derivative times (u1 u1, u1 u2, u2 u2, u1 c, u2 c), C-derivative times (u1 c, u2 c), s-derivative.
     out[9] is sum W g^2 (no factor 2).
+
+    Without TURNS the sums with c are 0; without STRETCHES, for a round lobe, u1 u1 stands for u1 u1 + u2 u2, and so the
+    gradient by a for that by a and b together, which then is 0.
     """
     h_x, h_y, h_z, weight, target = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT], nodes[TARGET]
     u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
@@ -66,35 +71,43 @@ def moments(nodes, frame, shape, out):
         v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
         c = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
         g, g_q, g_C, g_s = profile_gradient(u * u + v * v, c * c, shape)
-        # The lobe ends at its own horizon: g(q, C) would go on as a mirror image behind it.
-        x = min(max(c * real(1.0 / RIM), real(0.0)), real(1.0))
-        fade = x * x * (real(3.0) - x - x)
-        g_C = g_C * fade + (g * real(3.0 / (RIM * RIM)) * (real(1.0) - x) if c > real(0.0) else real(0.0))
-        g *= fade
-        g_q *= fade
-        g_s *= fade
+        if HORIZON:
+            # The lobe ends at its own horizon: g(q, C) would go on as a mirror image behind it.
+            x = min(max(c * real(1.0 / RIM), real(0.0)), real(1.0))
+            fade = x * x * (real(3.0) - x - x)
+            g_C = g_C * fade + (g * real(3.0 / (RIM * RIM)) * (real(1.0) - x) if c > real(0.0) else real(0.0))
+            g *= fade
+            g_q *= fade
+            g_s *= fade
         wd = weight[j] * g
         t0 += target[j] * g
         d0 += wd * g
         wd = wd + wd
         tq, dq = target[j] * g_q, wd * g_q
-        tC, dC = target[j] * g_C, wd * g_C
-        uu, uv, vv, uc, vc = u * u, u * v, v * v, u * c, v * c
-        t1 += tq * uu
-        t2 += tq * uv
-        t3 += tq * vv
-        t4 += tq * uc
-        t5 += tq * vc
-        t6 += tC * uc
-        t7 += tC * vc
+        uu, vv = u * u, v * v
+        if STRETCHES:
+            uv = u * v
+            t1 += tq * uu
+            t2 += tq * uv
+            t3 += tq * vv
+            d1 += dq * uu
+            d2 += dq * uv
+            d3 += dq * vv
+        else:
+            t1 += tq * (uu + vv)
+            d1 += dq * (uu + vv)
+        if TURNS:
+            tC, dC = target[j] * g_C, wd * g_C
+            uc, vc = u * c, v * c
+            t4 += tq * uc
+            t5 += tq * vc
+            t6 += tC * uc
+            t7 += tC * vc
+            d4 += dq * uc
+            d5 += dq * vc
+            d6 += dC * uc
+            d7 += dC * vc
         t8 += target[j] * g_s
-        d1 += dq * uu
-        d2 += dq * uv
-        d3 += dq * vv
-        d4 += dq * uc
-        d5 += dq * vc
-        d6 += dC * uc
-        d7 += dC * vc
         d8 += wd * g_s
     out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7], out[8] = t0, t1, t2, t3, t4, t5, t6, t7, t8
     out[9], out[10], out[11], out[12], out[13], out[14], out[15], out[16], out[17] = d0, d1, d2, d3, d4, d5, d6, d7, d8
@@ -122,7 +135,8 @@ def lobe_values(theta, nodes, log_normalisation, values, work):
         u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
         v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
         c = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
-        values[j] = amplitude * profile(u * u + v * v, c * c, shape) if c > real(0.0) else real(0.0)
+        g = amplitude * profile(u * u + v * v, c * c, shape)
+        values[j] = g if not HORIZON or c > real(0.0) else real(0.0)
 
 
 log_normalisation_type = types.FunctionType(types.UniTuple(types.float64, 2)(types.float64))

@@ -35,6 +35,8 @@ from brdffit.models.ggx import profile  # bound anew for other source models
 from brdffit.models.ggx import profile as ggx_profile
 
 real = np.float32
+#: Whether lobes end at their own horizon; kernels for lobes that never come near it are bound to False.
+HORIZON = True
 
 # Columns of a lobe: normal; log tensor (a, b, c), or alpha^2 alone where the base is isotropic; shape; footprint weight
 # times specular RGB; mixture weight; K(shape) of the model's normalisation; what the spread of normals inside the
@@ -158,7 +160,7 @@ def tabulate(lobes, count, isotropic, grey, nodes, frame):
                 q = sin2 * inverse
                 C = real(1.0) - sin2
                 g = profile(q, C, shape)
-                red[j] += a_red * g if cos > real(0.0) else real(0.0)
+                red[j] += a_red * g if not HORIZON or cos > real(0.0) else real(0.0)
                 density[j] += a_density * ggx_profile(q, C, shape) * cos
         elif base_isotropic:
             for j in range(size):
@@ -169,7 +171,7 @@ def tabulate(lobes, count, isotropic, grey, nodes, frame):
                 cos = real(1.0) - real(0.5) * chord
                 q = sin2 * inverse
                 C = real(1.0) - sin2
-                g = profile(q, C, shape) if cos > real(0.0) else real(0.0)
+                g = profile(q, C, shape) if not HORIZON or cos > real(0.0) else real(0.0)
                 red[j] += a_red * g
                 green[j] += a_green * g
                 blue[j] += a_blue * g
@@ -183,7 +185,7 @@ def tabulate(lobes, count, isotropic, grey, nodes, frame):
                 cos = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
                 q = u * u + v * v
                 C = cos * cos
-                g = profile(q, C, shape) if cos > real(0.0) else real(0.0)
+                g = profile(q, C, shape) if not HORIZON or cos > real(0.0) else real(0.0)
                 red[j] += a_red * g
                 green[j] += a_green * g
                 blue[j] += a_blue * g

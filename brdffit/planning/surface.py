@@ -174,7 +174,11 @@ class SurfaceWork:
         return setup(options, set(off), tolerance=_SHORTCUTS * scene.budget.db)
 
     def _sample(self, base: Svbrdf, seen: Reach) -> Sample:
-        return Sample(base, (seen.first, seen.last), self._draw(self.scene), self.seed, threads=self.threads)
+        return self._sample_of(base, (seen.first, seen.last))
+
+    def _sample_of(self, base: Svbrdf, levels: tuple[int, int]) -> Sample:
+        options = self._setup(None, ()).options
+        return Sample(base, options, levels, self._draw(self.scene), self.seed, threads=self.threads)
 
     def _draw(self, scene: SceneFile) -> Draw:
         return lambda texels, pairs, seed: directions(scene, self.surface, texels, pairs, seed)
@@ -184,8 +188,7 @@ class SurfaceWork:
 
     def _seconds_of_all(self, base: Svbrdf, everything: set[str], tried: _Tried) -> float:
         """Of all levels with everything on."""
-        levels = (0, len(level_sizes(base.size)) - 1)
-        sample = Sample(base, levels, self._draw(self.scene), self.seed, threads=self.threads)
+        sample = self._sample_of(base, (0, len(level_sizes(base.size)) - 1))
         return sample.seconds([self._setup(None, everything)])[0] + _refining(tried, everything)
 
 

@@ -11,14 +11,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.fitting.sampling import LevelSample
+from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.measure import random_texels
 from brdffit.methods import BakeOptions
+from brdffit.models import get_model
 from brdffit.planning.effects import Setup
 from brdffit.render.pairs import pair_errors
 from brdffit.render.terms import Terms
@@ -61,6 +63,7 @@ class Sample:
 
     Args:
         base: everything that the set holds.
+        options: of the bake; what effects change of them may differ from trial to trial.
         reach: first and last level.
         draw: directions for (texels, pairs, seed).
         seed: of texels and directions.
@@ -68,49 +71,38 @@ class Sample:
     """
 
     def __init__(
-        self, base: Svbrdf, reach: tuple[int, int], draw: Draw, seed: int = 0, texels: int = TEXELS,
-        threads: int | None = None,
+        self, base: Svbrdf, options: BakeOptions, reach: tuple[int, int], draw: Draw, seed: int = 0,
+        texels: int = TEXELS, threads: int | None = None,
     ) -> None:  # fmt: skip
-        self.base, self.reach, self.draw, self.seed, self.threads = base, reach, draw, seed, threads
+        self.base, self.options, self.reach, self.draw, self.seed = base, options, reach, draw, seed
+        self.threads = threads
         self.sizes = level_sizes(base.size)
         self.levels = sorted({round(level) for level in np.linspace(*reach, LEVELS)})
         self.texels = {k: random_texels(self.sizes[k], texels, self._seed(k)) for k in self.levels}
+        self._bases: dict[tuple[str, ...], tuple[Svbrdf, Base]] = {}
+        self._samples: dict[tuple[int, tuple[str, ...]], LevelSample] = {}
 
     def _seed(self, level: int) -> int:
         return 1000 * (self.seed + 1) + level
 
     def versions(self, setup: Setup) -> list[Svbrdf]:
         """The sampled texels of each level as (n, 1) images, fitted as this setup has it."""
-        base = self.base.without(setup.unread)
-        return [self._version(base, level, setup.options) for level in self.levels]
+        return [self._version(level, setup) for level in self.levels]
 
     def picked(self, levels: Sequence[Svbrdf]) -> list[Svbrdf]:
         """The sampled texels of a pyramid that was baked."""
         return [_picked(levels[level], *self.texels[level]) for level in self.levels]
 
-    def _version(self, base: Svbrdf, level: int, options: BakeOptions) -> Svbrdf:
-        columns, rows = self.texels[level]
-        if level == 0 and options.keep_level_0:
-            return _picked(base, columns, rows)
-        sample = LevelSample(base, level, columns, rows, options, threads=self.threads)
-        _, output = sample.fit()
-        arrays = {name: getattr(output, name)[:, None] for name in ("normal", "log_roughness", "specular", "diffuse")}
-        shape = output.shape[:, None] if sample.target.shape_bounds else None
-        return Svbrdf(**arrays, model=sample.target.name, wrap=base.wrap, shape=shape)
-
     def errors(
-        self,
-        versions: Sequence[Sequence[Svbrdf]],
-        terms: Terms = Terms(),
-        draw: Draw | None = None,
+        self, versions: Sequence[Sequence[Svbrdf]], terms: Terms | None = None, draw: Draw | None = None
     ) -> Errors:
         """Squared errors of M versions (each a list over the levels) against everything that the base holds."""
         found = Errors([], [])
         for i, level in enumerate(self.levels):
             columns, rows = self.texels[level]
             error, reference = pair_errors(
-                self.base, [version[i] for version in versions], columns, rows, terms=terms, samples=FOOTPRINT,
-                size=self.sizes[level], threads=self.threads,
+                self.base, [version[i] for version in versions], columns, rows, terms=terms or Terms(),
+                samples=FOOTPRINT, size=self.sizes[level], threads=self.threads,
                 directions=(draw or self.draw)(len(columns), PAIRS, self._seed(level)),
             )  # fmt: skip
             found.error.append(error)
@@ -118,7 +110,7 @@ class Sample:
         return found
 
     def seconds(self, setups: Sequence[Setup]) -> list[float]:
-        """Seconds that fitting all reached levels takes with each setup, from the sampled texels.
+        """Seconds that fitting all reached levels takes with each setup, from some texels.
 
         Setups take turns, and the shortest of several runs counts: what else the machine does disturbs all alike.
         """
@@ -126,45 +118,57 @@ class Sample:
         reached = range(self.reach[0], self.reach[1] + 1)
         total = []
         for m, setup in enumerate(setups):
-            # Between measured levels the cost of a texel goes on as its logarithm does.
+            # Between measured levels the logarithm of a texel's cost is taken to be straight.
             cost = np.exp(np.interp(reached, self.levels, np.log(np.maximum(per_texel[:, m], 1e-9))))
-            kept = setup.options.keep_level_0
-            counts = [0 if kept and k == 0 else math.prod(self.sizes[k]) for k in reached]
+            counts = [0 if _is_kept(k, setup) else math.prod(self.sizes[k]) for k in reached]
             total.append(float(cost @ counts))
         return total
 
     def _seconds_a_texel(self, level: int, setups: Sequence[Setup]) -> list[float]:
         texels = math.prod(self.sizes[level])
-        count = min(texels, len(self.texels[level][0]))
-        runs: list[Callable[[], float]] = []
-        counts: list[int] = []
-        extra: list[float] = []
-        for setup in setups:
-            if level == 0 and setup.options.keep_level_0:
-                runs.append(lambda: 0.0)
-                counts.append(1)
-                extra.append(0.0)
+        few = random_texels(self.sizes[level], min(texels, _MOST_TEXELS), self._seed(level) + 500)
+        runs: list[tuple[LevelSample, Setup, Any] | None] = []
+        pilot = [0.0] * len(setups)
+        for m, setup in enumerate(setups):
+            if _is_kept(level, setup):
+                runs.append(None)
                 continue
-            base = self.base.without(setup.unread)
+            sample = self._level_sample(level, setup.unread, few)
             start = time.perf_counter()
-            first = self._level_sample(base, level, count, setup.options)
-            settings = first.settings()
-            pilot = time.perf_counter() - start if setup.options.tolerance is not None else 0.0
-            taken = _timed(lambda sample=first, settings=settings: sample.fit(settings=settings))  # type: ignore[misc]
-            wanted = min(max(math.ceil(count * _TIMED / max(taken, 1e-6)), count), _MOST_TEXELS, texels)
-            sample = self._level_sample(base, level, wanted, setup.options)
-            runs.append(lambda sample=sample, settings=settings: _timed(lambda: sample.fit(settings=settings)))  # type: ignore[misc]
-            counts.append(wanted)
-            extra.append(pilot / texels)
+            settings = sample.settings(setup.options)
+            # What a whole level pays once.
+            pilot[m] = (time.perf_counter() - start) / texels
+            some = sample.subset(min(len(few[0]), TEXELS))
+            taken = _timed(lambda: some.fit(setup.options, settings=settings))  # noqa: B023  (called at once)
+            count = min(max(math.ceil(len(some) * _TIMED / taken), len(some)), len(few[0]))
+            runs.append((sample.subset(count), setup, settings))
         shortest = [math.inf] * len(setups)
         for _ in range(_REPEATS):
             for m, run in enumerate(runs):
-                shortest[m] = min(shortest[m], run())
-        return [shortest[m] / counts[m] + extra[m] for m in range(len(setups))]
+                taken = 0.0
+                if run is not None:
+                    taken = _timed(lambda: run[0].fit(run[1].options, settings=run[2])) / len(run[0])  # noqa: B023
+                shortest[m] = min(shortest[m], taken)
+        return [a + b for a, b in zip(shortest, pilot, strict=True)]
 
-    def _level_sample(self, base: Svbrdf, level: int, count: int, options: BakeOptions) -> LevelSample:
-        columns, rows = random_texels(self.sizes[level], count, self._seed(level) + 500)
-        return LevelSample(base, level, columns, rows, options, threads=self.threads)
+    def _version(self, level: int, setup: Setup) -> Svbrdf:
+        if _is_kept(level, setup):
+            return _picked(self.base.without(setup.unread), *self.texels[level])
+        key = level, setup.unread
+        if key not in self._samples:
+            self._samples[key] = self._level_sample(level, setup.unread, self.texels[level])
+        sample = self._samples[key]
+        _, output = sample.fit(setup.options)
+        arrays = {name: getattr(output, name)[:, None] for name in ("normal", "log_roughness", "specular", "diffuse")}
+        shape = output.shape[:, None] if sample.target.shape_bounds else None
+        return Svbrdf(**arrays, model=sample.target.name, wrap=self.base.wrap, shape=shape)
+
+    def _level_sample(self, level: int, unread: tuple[str, ...], texels: tuple[NDArray, NDArray]) -> LevelSample:
+        if unread not in self._bases:
+            seen = self.base.without(unread)
+            self._bases[unread] = seen, base_of(seen, get_model(seen.model).default_shape)
+        seen, base = self._bases[unread]
+        return LevelSample(seen, level, *texels, self.options, base=base, threads=self.threads)
 
 
 def snr_db(found: Errors, version: int) -> float:
@@ -193,6 +197,10 @@ def _pooled(found: Errors, version: int, texels: list[NDArray] | None) -> NDArra
             own, square = own[texels[i]], square[texels[i]]
         shares.append(np.maximum(own.sum(axis=-1), 0.0) / np.maximum(square.sum(axis=-1), 1e-30))
     return np.mean(shares, axis=0)
+
+
+def _is_kept(level: int, setup: Setup) -> bool:
+    return level == 0 and setup.options.keep_level_0
 
 
 def _picked(level: Svbrdf, columns: NDArray, rows: NDArray) -> Svbrdf:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
+from brdffit.methods import one_of
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures import encoding
@@ -19,30 +22,41 @@ DEFAULT_BASE_COLOR, DEFAULT_ROUGHNESS = 0.5, 0.5
 #: Height between the values 0 and 1 of a height map nobody gave a scale for, as a share of the texture's longer side:
 #: about the median of the real sets whose normal maps tell it.
 DEFAULT_HEIGHT_SHARE = 0.02
+#: Roles that a set can do without: what they would have added is left out.
+UNREAD = ("normal", "height", "ao")
 #: The mean of a normal map's red and green where 0.5 was decoded from sRGB, or encoded to it.
 _SRGB_MEANS = {"decoded as": 0.2140, "encoded as": 0.7354}
 
 
-def to_svbrdf(texture_set: TextureSet, *, min_roughness: float = DEFAULT_MIN_ROUGHNESS, model: str = "ggx") -> Svbrdf:
+def to_svbrdf(
+    texture_set: TextureSet, *, min_roughness: float = DEFAULT_MIN_ROUGHNESS, model: str = "ggx",
+    without: Collection[str] = (),
+) -> Svbrdf:  # fmt: skip
     """Decode a texture set; what was assumed, mended or clamped is added to ``texture_set.notes``.
 
     Args:
         texture_set: of ``read_texture_set``.
         min_roughness: perceptual roughness floor, in (0, 1].
         model: name of the lobe model the set was authored for.
+        without: roles that are not read, of ``UNREAD``: "normal" (all normals are z, and there is no height), "height"
+            or "ao".
 
     Returns:
-        The SVBRDF at the size of the largest map; the height, if any, in texels.
+        The SVBRDF at the size of the largest map, read or not; the height, if any, in texels.
 
     Raises:
         InputError: for a map that cannot be read or is not what its role says.
+        UnknownNameError: for a role that cannot be done without.
     """
+    unread = unread_roles(texture_set, without)
     if not 0.0 < min_roughness <= 1.0:
         raise InputError(f"The roughness floor is {min_roughness}, expected a perceptual roughness in (0, 1].")
-    normal, height = _normal_and_height(texture_set)
+    if unread:
+        texture_set.note(f"Maps that were not read, because nothing needs them: {', '.join(unread)}.")
+    normal, height = _normal_and_height(texture_set, unread)
     roughness = _roughness(texture_set, min_roughness)
     specular, diffuse = _colours(texture_set)
-    occlusion = scalar_map(texture_set, "ao")
+    occlusion = None if "ao" in unread else scalar_map(texture_set, "ao")
     if occlusion is not None:
         strength = float(texture_set.factors.get("occlusion", 1.0))
         occlusion = np.clip(1.0 + strength * (occlusion - 1.0), 0.0, 1.0)
@@ -57,6 +71,18 @@ def to_svbrdf(texture_set: TextureSet, *, min_roughness: float = DEFAULT_MIN_ROU
         occlusion=None if occlusion is None else _full(occlusion, size),
         height=None if height is None else _full(height, size),
     )
+
+
+def unread_roles(texture_set: TextureSet, without: Collection[str]) -> list[str]:
+    """The roles of a set that are not read under this ``without``; height goes with the normals.
+
+    Raises:
+        UnknownNameError: for a role that cannot be done without.
+    """
+    for role in without:
+        one_of("role to do without", role, UNREAD)
+    left = {*without, *(["height"] if "normal" in without else [])}
+    return [role for role in texture_set.maps if role in left]
 
 
 def decode_normals(texture_set: TextureSet) -> NDArray:
@@ -107,10 +133,13 @@ def _check_normals(named: Map, pixels: NDArray, vectors: NDArray, two_channel: b
         )
 
 
-def _normal_and_height(texture_set: TextureSet) -> tuple[NDArray, NDArray | None]:
-    named = texture_set.maps.get("height")
+def _normal_and_height(texture_set: TextureSet, unread: Collection[str]) -> tuple[NDArray, NDArray | None]:
+    maps = {role: each for role, each in texture_set.maps.items() if role not in unread}
+    if not {"normal", "height"} & maps.keys():
+        return np.array([[[0.0, 0.0, 1.0]]], np.float32), None
+    named = maps.get("height")
     height = None if named is None else _values(texture_set, named)
-    vectors = decode_normals(texture_set) if "normal" in texture_set.maps else None
+    vectors = decode_normals(texture_set) if "normal" in maps else None
     if height is not None:
         height = np.float32(_height_scale(texture_set, height, vectors)) * height
     if vectors is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -124,6 +124,7 @@ def read_texture_set(
     normal_y: str | None = None,
     wrap: str = "tile",
     height_scale: float | None = None,
+    without: Collection[str] = (),
 ) -> TextureSet:
     """Find the maps of a material and their conventions; pixels are read later, one map at a time.
 
@@ -135,6 +136,7 @@ def read_texture_set(
             slopes themselves (those of a surface have no curl), and says which.
         wrap: "tile" or "clamp".
         height_scale: texels between the height values 0 and 1; None derives it.
+        without: roles that will not be read (see ``conversion.to_svbrdf``): without "normal" nothing is asked of it.
 
     Raises:
         InputError: when there is nothing to read, or what is there cannot belong together.
@@ -149,6 +151,8 @@ def read_texture_set(
     texture_set = _find_maps(path, dict(roles or {}))
     texture_set.wrap, texture_set.height_scale = wrap, height_scale
     check_sizes(texture_set, path)
+    if "normal" in without and texture_set.maps:
+        return texture_set
     if "normal" not in texture_set.maps and "height" not in texture_set.maps:
         found = ", ".join(f"{named.path.name} ({role})" for role, named in texture_set.maps.items()) or "no known role"
         raise InputError(

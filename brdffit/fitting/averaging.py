@@ -1,0 +1,78 @@
+"""Levels that no pixel reads: every channel averaged for itself, as the naive baseline does, at hardly any cost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.footprint import get_pixel_filter, iter_pyramid
+from brdffit.methods import BakeOptions
+from brdffit.models import Model
+from brdffit.roughness import perceptual_from_log_tensor
+from brdffit.svbrdf import Svbrdf
+
+
+def averaged_levels(
+    svbrdf: Svbrdf, sizes: Sequence[tuple[int, int]], options: BakeOptions, target: Model
+) -> Iterator[Svbrdf]:
+    """Levels of these sizes, finest first: colours, occlusion, perceptual roughness and normals averaged.
+
+    Normals are made unit length again; the spread of normals, and what roughness is to reflected energy, is lost.
+    """
+    images = {"normal": svbrdf.normal, "roughness": _roughness(svbrdf), "specular": svbrdf.specular}
+    if svbrdf.diffuse.any():
+        images["diffuse"] = svbrdf.diffuse
+    if svbrdf.occlusion is not None:
+        images["occlusion"] = svbrdf.occlusion[..., None]
+    if svbrdf.shape is not None and target.shape_bounds:
+        images["shape"] = svbrdf.shape[..., None]
+    pixel_filter = get_pixel_filter(options.pixel_filter)
+    pyramids = [iter_pyramid(image, sizes, pixel_filter, svbrdf.wrap) for image in images.values()]
+    for size in sizes:
+        found = {name: next(pyramid) for name, pyramid in zip(images, pyramids, strict=True)}
+        shape = None
+        if target.shape_bounds:
+            shape = found["shape"][..., 0] if "shape" in found else np.full(size, target.default_shape, np.float32)
+        occlusion = found.get("occlusion")
+        # Mitchell's negative weights can leave colours below 0 and occlusion out of its range.
+        yield Svbrdf(
+            normal=_unit(found["normal"]),
+            log_roughness=_log_tensor(found["roughness"], options, target),
+            specular=np.maximum(found["specular"], 0.0),
+            diffuse=np.maximum(found["diffuse"], 0.0) if "diffuse" in found else np.zeros((*size, 3), np.float32),
+            model=target.name,
+            wrap=svbrdf.wrap,
+            shape=shape,
+            occlusion=None if occlusion is None else np.clip(occlusion[..., 0], 0.0, 1.0),
+        )
+
+
+def _roughness(svbrdf: Svbrdf) -> NDArray:
+    """Perceptual roughness and the deviator of the log tensor (H, W, 3); without the latter (H, W, 1) where it is 0."""
+    a, b, c = np.moveaxis(svbrdf.log_roughness, 2, 0)
+    perceptual = perceptual_from_log_tensor(svbrdf.log_roughness)
+    if np.array_equal(a, b) and not c.any():
+        return perceptual[..., None]
+    return np.stack([perceptual, 0.5 * (a - b), c], axis=2)
+
+
+def _log_tensor(roughness: NDArray, options: BakeOptions, target: Model) -> NDArray:
+    """Log tensors (h, w, 3) of averaged ``_roughness``, eigenvalues between the floor and 1."""
+    lowest = 4.0 * np.log(options.min_roughness)
+    mean = np.clip(4.0 * np.log(np.maximum(roughness[..., 0], 1e-6)), lowest, 0.0)
+    if roughness.shape[2] == 1 or options.lobe == "isotropic" or target.isotropic:
+        return np.stack([mean, mean, np.zeros_like(mean)], axis=2).astype(np.float32)
+    half, off = roughness[..., 1], roughness[..., 2]
+    radius = np.hypot(half, off)
+    major, minor = np.clip(mean + radius, lowest, 0.0), np.clip(mean - radius, lowest, 0.0)
+    mean, shrink = 0.5 * (major + minor), 0.5 * (major - minor) / np.where(radius > 0.0, radius, 1.0)
+    return np.stack([mean + shrink * half, mean - shrink * half, shrink * off], axis=2).astype(np.float32)
+
+
+def _unit(mean: NDArray) -> NDArray:
+    """Normals (h, w, 3) of averages; z where opposite normals leave nothing."""
+    length = np.linalg.norm(mean, axis=2, keepdims=True)
+    some = length > 1e-6
+    return np.where(some, mean / np.where(some, length, 1.0), np.array([0.0, 0.0, 1.0], np.float32))
