@@ -152,7 +152,7 @@ def bake(
 
         _refuse_beside_scene(context, ("scene_file", "output", "threads", "no_preview", "show"))
         reports = bake_by_plan(scene_file, output, preview=not no_preview, threads=options["threads"])
-    else:
+    elif source is not None:
         given = {name: value for name, value in options.items() if value not in (None, False, "auto")}
         with BakeDisplay() as display:
             reports = [

@@ -117,7 +117,8 @@ class SetWork:
         read = self.texture_set
         return SetResult(
             name=self.name, size=self.base.size, wrap=self.base.wrap, methods=results, skipped=self.skipped,
-            distances=distances_of(self.base.size, len(sizes), self.studio.reach), views=views, lobes=lobes, overview=overview,
+            distances=distances_of(self.base.size, len(sizes), self.studio.reach), views=views, lobes=lobes,
+            overview=overview,
             maps_levels=len(sizes), seconds={name: round(value, 3) for name, value in self.seconds.items()},
             inputs={role: each.path.name for role, each in read.maps.items()} if read else {},
             notes=list(read.notes) if read else [],
@@ -214,9 +215,8 @@ class SetWork:
         """The whole set once, by the reference under small lights; returns its path."""
         sizes = level_sizes(self.base.size)
         k = next((i for i, size in enumerate(sizes) if max(size) <= _OVERVIEW), len(sizes) - 1)
-        radiance = self.studio.reference(
-            self.base, scenes.plane(self.base.size, k, sizes[k]), self.studio.lit[0]
-        ).radiance
+        scene = scenes.plane(self.base.size, k, sizes[k])
+        radiance = self.studio.reference(self.base, scene, self.studio.lit[0]).radiance
         return self._store("overview", metrics.tone_map(radiance, metrics.exposure_of(radiance)))
 
     def _texels(self, k: int) -> tuple[NDArray, NDArray]:

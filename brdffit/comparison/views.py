@@ -69,7 +69,8 @@ class Studio:
         """
         return render_halves(
             base, scene, self._lights(lit), environment=self._environment(lit), terms=self.terms,
-            pixel_filter=self.pixel_filter, samples=self.samples if lit == SMALL_LIGHTS else "draft", threads=self.threads,
+            pixel_filter=self.pixel_filter, samples=self.samples if lit == SMALL_LIGHTS else "draft",
+            threads=self.threads,
         )  # fmt: skip
 
     def method(self, levels: Sequence[Svbrdf], scene: Scene, lit: str) -> NDArray:

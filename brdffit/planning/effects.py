@@ -27,6 +27,7 @@ class Effect:
         unread: roles of maps that are not read without it.
         terms: fields of the judge's ``Terms`` that are False without it.
         judge: whether it is the judge's alone: it changes no pyramid, but what a comparison simulates.
+        extra: whether it is a pass of its own, that has to be shown to help before it is paid for.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Effect:
     unread: tuple[str, ...] = ()
     terms: tuple[str, ...] = ()
     judge: bool = False
+    extra: bool = False
 
 
 EFFECTS: tuple[Effect, ...] = (
@@ -74,7 +76,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "refinement", "refinement for interpolation between texels and levels", "every texel is fitted for its centre",
-        on={"refine": True}, off={"refine": False},
+        on={"refine": True}, off={"refine": False}, extra=True,
     ),
     Effect(
         "texels", "the same work in every texel", "each texel is given no more work than the budget asks for",

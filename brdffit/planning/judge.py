@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import time
+import functools
 
 from brdffit.planning.effects import BY_NAME
+from brdffit.planning.trial import timed
 from brdffit.render.environment import Environment
 from brdffit.render.lights import Lights
 from brdffit.render.reference import render_halves
@@ -13,8 +14,8 @@ from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
 
 #: Side of the picture that is timed, and pixels of the pictures of one set in a comparison, by what lights them.
-_SIDE, _PIXELS, _PIXELS_AROUND = 24, 5 * 192 * 192, 3 * 128 * 128
-_REPEATS = 3
+_SIDE, _PIXELS, _PIXELS_AROUND = 16, 5 * 192 * 192, 3 * 128 * 128
+_REPEATS = 2
 
 
 def judge_costs(
@@ -26,15 +27,12 @@ def judge_costs(
         base: the set. level: at which it is seen. lights, environment: of the scene, if it has any.
     """
     scene = plane(base.size, level, (_SIDE, _SIDE))
-    share = 1.0 / _SIDE**2
 
     def seconds(terms: Terms, lit: Lights | None, around: Environment | None) -> float:
-        taken = []
-        for _ in range(_REPEATS):
-            start = time.perf_counter()
-            render_halves(base, scene, lit, environment=around, terms=terms, samples="draft", threads=threads)
-            taken.append(time.perf_counter() - start)
-        return min(taken) * share
+        draw = functools.partial(
+            render_halves, base, scene, lit, environment=around, terms=terms, samples="draft", threads=threads
+        )
+        return min(timed(draw, threads) for _ in range(_REPEATS)) / _SIDE**2
 
     found = {}
     if lights is not None or environment is None:

@@ -93,6 +93,15 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     surfaces: tuple[SurfacePlan, ...]
 
 
+#: dB that a pass of its own has to bring: it costs several times the fit.
+WORTH_A_PASS = 1.0
+
+
+def is_worth_a_pass(loss: Loss) -> bool:
+    """Whether what is lost without an extra pass is shown beyond chance to be worth it."""
+    return loss.db - 2.0 * loss.error > WORTH_A_PASS
+
+
 class Question(msgspec.Struct, frozen=True, kw_only=True):
     """What verdicts are reached from.
 
@@ -130,6 +139,8 @@ def verdicts(question: Question, together: Together) -> tuple[set[str], Loss]:
         if BY_NAME[name].judge:
             # Nothing that is baked depends on it: it stands by itself.
             off |= {name} if may_lose <= question.budget else set()
+        elif BY_NAME[name].extra:
+            off |= set() if is_worth_a_pass(question.losses[name]) else {name}
         elif spent + may_lose <= question.budget:
             off.add(name)
             spent += may_lose
@@ -137,7 +148,7 @@ def verdicts(question: Question, together: Together) -> tuple[set[str], Loss]:
     for name in reversed(question.free()):
         if found.at_most <= question.budget:
             break
-        if name in off and not BY_NAME[name].judge:
+        if name in off and not BY_NAME[name].judge and not BY_NAME[name].extra:
             off.remove(name)
             found = together(off)
     return off, found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,11 @@ from brdffit.planning.plan import Plan, SurfacePlan
 from brdffit.planning.surface import SurfaceWork, Tell
 
 
-def plan_scene(scene: SceneFile, name: str, seed: int = 0, threads: int | None = None, tell: Tell = str) -> Plan:
+def _nobody(text: str) -> None:
+    """Hears nothing."""
+
+
+def plan_scene(scene: SceneFile, name: str, seed: int = 0, threads: int | None = None, tell: Tell = _nobody) -> Plan:
     """Plan every surface of a scene.
 
     Args:
@@ -46,12 +51,12 @@ def bake_scene(
     reports = []
     for surface, planned in zip(scene.surfaces, plan.surfaces, strict=True):
         work = SurfaceWork(scene, surface, plan.seed + 1, threads)
+        options: dict[str, Any] = {**planned.options, "threads": threads}
         reports.append(
             bake_to_folder(
                 work.texture_set, output, name=surface.name, preset=scene.target.preset, bits=scene.target.bits,
-                preview=preview, progress=progress, without=planned.unread, threads=threads,
-                annotate=lambda pyramid, seconds, work=work, planned=planned: _notes(work, planned, pyramid, seconds),
-                **{name: tuple(v) if isinstance(v, list) else v for name, v in planned.options.items()},
+                preview=preview, progress=progress, without=planned.unread,
+                annotate=functools.partial(_notes, work, planned), **options,
             )
         )  # fmt: skip
     return reports

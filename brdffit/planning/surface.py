@@ -15,7 +15,16 @@ from brdffit.planning.effects import BY_NAME, Setup, setup
 from brdffit.planning.facts import Fact, settled
 from brdffit.planning.judge import judge_costs
 from brdffit.planning.lighting import directions, environment_of, lights_of
-from brdffit.planning.plan import EffectRow, Outcome, Question, SurfacePlan, faster, verdicts
+from brdffit.planning.plan import (
+    WORTH_A_PASS,
+    EffectRow,
+    Outcome,
+    Question,
+    SurfacePlan,
+    faster,
+    is_worth_a_pass,
+    verdicts,
+)
 from brdffit.planning.reach import Reach, reached_levels
 from brdffit.planning.refinement import try_refinement
 from brdffit.planning.trial import Draw, Errors, Loss, Sample, loss, snr_db
@@ -152,6 +161,8 @@ class SurfaceWork:
             elif on:
                 what = "the judge's figure moves" if effect.judge else "the scene loses"
                 why, change = f"without it {what} by up to {may}", f"a budget above {may}"
+            elif effect.extra and not is_worth_a_pass(loss):
+                why, change = f"it is not shown to bring {WORTH_A_PASS:g} dB", "a set or a view in which it does"
             else:
                 over = " (over the budget: its seconds are saved)" if loss.at_most > budget else ""
                 why, change = f"without it at most {may} are lost{over}", f"a budget below {may}"

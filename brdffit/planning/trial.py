@@ -8,7 +8,9 @@ cancels in their differences; what is left is estimated by resampling texels (Ef
 
 from __future__ import annotations
 
+import functools
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -29,7 +31,7 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 #: Relative squared error that nobody sees: a contrast of one percent, about the eye's threshold (40 dB).
 UNSEEN = 1e-4
 #: Sampled texels of a level, pairs of light and viewer at each, samples of a footprint, and levels of a surface.
-TEXELS, PAIRS, FOOTPRINT, LEVELS = 96, 128, 4096, 4
+TEXELS, PAIRS, FOOTPRINT, LEVELS = 192, 256, 1024, 4
 #: A fit is timed for at least so long, repeatedly, and the shortest counts; but on no more texels than that.
 _TIMED, _REPEATS, _MOST_TEXELS = 0.04, 3, 4096
 _RESAMPLED = 200
@@ -55,7 +57,7 @@ class Loss(NamedTuple):
     @property
     def at_most(self) -> float:
         """dB: twice the standard error above, never below 0."""
-        return max(self.db, 0.0) + 2.0 * self.error
+        return max(self.db + 2.0 * self.error, 0.0)
 
 
 class Sample:
@@ -110,9 +112,10 @@ class Sample:
         return found
 
     def seconds(self, setups: Sequence[Setup]) -> list[float]:
-        """Seconds that fitting all reached levels takes with each setup, from some texels.
+        """Seconds that fitting all reached levels takes with each setup on an idle machine, from some texels.
 
-        Setups take turns, and the shortest of several runs counts: what else the machine does disturbs all alike.
+        Processor time is counted and shared out over the threads; setups take turns and the shortest of several runs
+        counts, so that what else the machine does disturbs little.
         """
         per_texel = np.array([self._seconds_a_texel(level, setups) for level in self.levels])
         reached = range(self.reach[0], self.reach[1] + 1)
@@ -134,12 +137,12 @@ class Sample:
                 runs.append(None)
                 continue
             sample = self._level_sample(level, setup.unread, few)
-            start = time.perf_counter()
+            start = time.process_time()
             settings = sample.settings(setup.options)
-            # What a whole level pays once.
-            pilot[m] = (time.perf_counter() - start) / texels
+            # A whole level pays once for it, on one thread.
+            pilot[m] = (time.process_time() - start) / texels
             some = sample.subset(min(len(few[0]), TEXELS))
-            taken = _timed(lambda: some.fit(setup.options, settings=settings))  # noqa: B023  (called at once)
+            taken = timed(functools.partial(some.fit, setup.options, settings=settings), self.threads)
             count = min(max(math.ceil(len(some) * _TIMED / taken), len(some)), len(few[0]))
             runs.append((sample.subset(count), setup, settings))
         shortest = [math.inf] * len(setups)
@@ -147,7 +150,8 @@ class Sample:
             for m, run in enumerate(runs):
                 taken = 0.0
                 if run is not None:
-                    taken = _timed(lambda: run[0].fit(run[1].options, settings=run[2])) / len(run[0])  # noqa: B023
+                    fit = functools.partial(run[0].fit, run[1].options, settings=run[2])
+                    taken = timed(fit, self.threads) / len(run[0])
                 shortest[m] = min(shortest[m], taken)
         return [a + b for a, b in zip(shortest, pilot, strict=True)]
 
@@ -209,7 +213,8 @@ def _picked(level: Svbrdf, columns: NDArray, rows: NDArray) -> Svbrdf:
     return Svbrdf(**arrays, model=level.model, wrap=level.wrap)
 
 
-def _timed(work: Callable[[], object]) -> float:
-    start = time.perf_counter()
+def timed(work: Callable[[], object], threads: int | None) -> float:
+    """Processor seconds of ``work`` over so many threads (None: all cores), and never 0."""
+    start = time.process_time()
     work()
-    return time.perf_counter() - start
+    return max(time.process_time() - start, 1e-6) / (threads or os.cpu_count() or 1)
