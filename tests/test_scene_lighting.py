@@ -156,6 +156,17 @@ def test_a_curved_surface_is_seen_up_to_grazing_and_lit_from_all_sides():
     np.testing.assert_allclose((view * light).sum(axis=-1), -0.1 / math.hypot(1.0, 0.1), atol=1e-12)
 
 
+def test_from_afar_more_of_a_curved_surface_is_seen():
+    ball, overhead = Surface(set="ball", radius=1.0), LAMPS[:1]
+    tilts = []
+    for distance in (0.1, (0.1, 50.0), 50.0):
+        eye = Camera(distance=distance, tilt=0.0, field_of_view=20.0)
+        tilts.append(np.degrees(np.arccos(draw(scene(ball, overhead, cameras=(eye,)))[0][..., 2])))
+    near, both, far = tilts
+    assert near.max() < 3.0 and far.max() > GRAZING - 1.0
+    assert (both < 3.0).mean() > 0.1 and both.max() > GRAZING - 1.0
+
+
 def test_no_light_is_told():
     behind = scene(lights=(Light(direction=(0.0, 1.0, -0.1)),))
     with pytest.raises(InputError, match="No light of the scene reaches 'flat'"):
