@@ -7,6 +7,7 @@ light as the luminance that a surface facing it receives. Cosines are left to th
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +16,14 @@ from brdffit.comparison.surroundings import read_environment
 from brdffit.errors import InputError
 from brdffit.planning.description import PROCEDURAL, Light, SceneFile, Surface
 from brdffit.planning.reach import GRAZING, shown_turn
-from brdffit.render.environment import Environment
 from brdffit.render.metrics import LUMINANCE
 from brdffit.render.shading import into_frame
 
 #: Different directions of an environment that are drawn from: as many as a map of 256 x 128 has pixels.
 _ENVIRONMENT_DIRECTIONS = 1 << 15
 
-# Pairs are drawn anew until both directions are above the horizon; one in this many must be at least.
-_MOST_DRAWS = 256
+# Pairs are drawn anew until both directions are above the horizon. Where none of so many are, none will be.
+_DRAWS, _ROUNDS = 4096, 8
 
 
 def directions(
@@ -51,20 +51,25 @@ def directions(
         InputError: when the environment cannot be read, or no light reaches what the cameras see.
     """
     random, sources = np.random.default_rng(seed), _Sources(scene)
-    wanted = texels * pairs
+    wanted, rounds = texels * pairs, 0
     found: list[NDArray] = []
-    count, drawn = 0, 0
-    while count < wanted:
-        if drawn >= _MOST_DRAWS * wanted:
+    while sum(map(len, found)) < wanted:
+        if rounds >= _ROUNDS and not any(map(len, found)):
             raise InputError(
                 f"No light of the scene reaches '{surface.name or surface.set}' where the cameras see it: expected one "
                 "above its horizon (the third number of `direction` above 0), or an environment that is not black."
             )
-        pair = _draw(scene, surface, sources, wanted, random)
-        found.append(pair)
-        count, drawn = count + len(pair), drawn + wanted
+        found.append(_draw(scene, surface, sources, max(wanted, _DRAWS), random))
+        rounds += 1
     both = np.concatenate(found)[:wanted].reshape(texels, pairs, 2, 3)
     return both[:, :, 0].copy(), both[:, :, 1].copy(), np.full((texels, pairs), 1.0 / pairs)
+
+
+@cache
+def _surroundings(environment: str) -> tuple[NDArray, float]:
+    """Directions (n, 3) of an environment, as often as its luminance, and the integral of that."""
+    found = read_environment(None if environment == PROCEDURAL else environment)
+    return found.samples(_ENVIRONMENT_DIRECTIONS)[0], float(LUMINANCE @ found.total())
 
 
 class _Sources:
@@ -75,9 +80,8 @@ class _Sources:
         self.around: NDArray | None = None
         luminance = [float(np.dot(LUMINANCE, light.rgb)) for light in scene.lights]
         if scene.environment is not None:
-            environment: Environment = read_environment(None if scene.environment == PROCEDURAL else scene.environment)
-            self.around = environment.samples(_ENVIRONMENT_DIRECTIONS)[0]
-            luminance.append(float(LUMINANCE @ environment.total()))
+            self.around, of_environment = _surroundings(scene.environment)
+            luminance.append(of_environment)
         total = sum(luminance)
         if total <= 0.0:
             raise InputError("The lights of the scene are black: expected an `irradiance` above 0.")
