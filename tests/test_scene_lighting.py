@@ -167,6 +167,32 @@ def test_from_afar_more_of_a_curved_surface_is_seen():
     assert (both < 3.0).mean() > 0.1 and both.max() > GRAZING - 1.0
 
 
+@pytest.mark.parametrize("name", ["lamps", "ball"])
+def test_highlights_that_are_looked_for_change_no_mean(name):
+    """Two lobes a texel: chosen pairs scatter less about the mean of a sharp one, and about that of anything else as
+    half as many would at most, or a quarter."""
+    texels, few = 24, 64
+    normal = np.tile(np.array([[(0.0, 0.0, 1.0), (0.1, 0.2, 0.97)]]), (texels, 1, 1))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    width = np.full((texels, 2), 0.05)
+
+    def means(pairs, seed, highlights):
+        """Means at each texel of the square of a lobe (of the second normal) and of a smooth function."""
+        view, light, weight = directions(SCENES[name], SCENES[name].surfaces[0], texels, pairs, seed, highlights)
+        half = (view + light) / np.linalg.norm(view + light, axis=-1, keepdims=True)
+        lobe = 1.0 / np.square(1.0 - np.square(half @ normal[0, 1]) * (1.0 - 0.05**2))
+        return [(weight * each).sum(axis=1) for each in (np.square(lobe), view[..., 0] + light[..., 2])]
+
+    expected = [float(each.mean()) for each in means(4000, 0, None)]
+    plain, chosen = means(few, 1, None), means(few, 1, (normal, width))
+    scatter = [(each.std(), other.std()) for each, other in zip(plain, chosen, strict=True)]
+    assert scatter[0][1] < 0.4 * scatter[0][0]  # worth six times as many pairs
+    assert scatter[1][1] < 2.0 * scatter[1][0]
+    for found, mean, (_, spread) in zip(chosen, expected, scatter, strict=True):
+        # The pool is one for all texels: it scatters too, by some percent of a sharp lobe.
+        assert found.mean() == pytest.approx(mean, abs=5.0 * spread / math.sqrt(texels), rel=0.1)
+
+
 def test_no_light_is_told():
     behind = scene(lights=(Light(direction=(0.0, 1.0, -0.1)),))
     with pytest.raises(InputError, match="No light of the scene reaches 'flat'"):

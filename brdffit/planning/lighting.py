@@ -24,10 +24,18 @@ _ENVIRONMENT_DIRECTIONS = 1 << 15
 
 # Pairs are drawn anew until both directions are above the horizon. Where none of so many are, none will be.
 _DRAWS, _ROUNDS = 4096, 8
+# Pairs that those of all texels are chosen from where highlights are looked for, texels looked at together, share of
+# the choice that follows the highlights, and their least width.
+_POOL, _CHUNK, _FOLLOW, _LEAST_WIDTH = 1 << 16, 32, 0.5, 0.01
 
 
 def directions(
-    scene: SceneFile, surface: Surface, texels: int, pairs: int, seed: int = 0
+    scene: SceneFile,
+    surface: Surface,
+    texels: int,
+    pairs: int,
+    seed: int = 0,
+    highlights: tuple[NDArray, NDArray] | None = None,
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Random pairs of directions at some texels of a surface.
 
@@ -42,6 +50,9 @@ def directions(
         texels: how many.
         pairs: at each texel.
         seed: same seed, same directions.
+        highlights: the K lobes of each texel that are compared: normals (texels, K, 3) and widths (texels, K), each an
+            alpha. Half of the pairs are then chosen for half vectors there, and weigh less in turn: small lights hardly
+            ever hit a sharp lobe by chance, and some dozens of such pairs tell what thousands of others do.
 
     Returns:
         view and light (texels, pairs, 3), float64 unit vectors in the tangent space of the mean plane (where a surface
@@ -51,7 +62,7 @@ def directions(
         InputError: when the environment cannot be read, or no light reaches what the cameras see.
     """
     random, sources = np.random.default_rng(seed), _Sources(scene)
-    wanted, rounds = texels * pairs, 0
+    wanted, rounds = texels * pairs if highlights is None else _POOL, 0
     found: list[NDArray] = []
     while sum(map(len, found)) < wanted:
         if rounds >= _ROUNDS and not any(map(len, found)):
@@ -61,8 +72,40 @@ def directions(
             )
         found.append(_draw(scene, surface, sources, max(wanted, _DRAWS), random))
         rounds += 1
-    both = np.concatenate(found)[:wanted].reshape(texels, pairs, 2, 3)
-    return both[:, :, 0].copy(), both[:, :, 1].copy(), np.full((texels, pairs), 1.0 / pairs)
+    both = np.concatenate(found)[:wanted]
+    if highlights is None:
+        both, weight = both.reshape(texels, pairs, 2, 3), np.full((texels, pairs), 1.0 / pairs)
+    else:
+        chosen, weight = _choose(both, pairs, *highlights, random)
+        both = both[chosen]
+    return both[:, :, 0].copy(), both[:, :, 1].copy(), weight
+
+
+def _choose(
+    pool: NDArray, pairs: int, normal: NDArray, width: NDArray, random: np.random.Generator
+) -> tuple[NDArray, NDArray]:
+    """Which pairs of a pool (N, 2, 3) n texels take, and their weights: both (n, pairs).
+
+    A pair's chance is, in equal parts, that of all and those of GGX lobes at its half vector; its weight the inverse.
+    """
+    half = pool.sum(axis=1)
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    chosen, weight = np.empty((len(normal), pairs), np.int64), np.empty((len(normal), pairs))
+    for first in range(0, len(normal), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        chance = np.full((len(normal[part]), len(pool)), 1.0 - _FOLLOW)
+        for k in range(normal.shape[1]):
+            cosine = np.maximum(np.asarray(normal[part, k], np.float64) @ half.T, 0.0)
+            square = np.square(np.maximum(width[part, k, None], _LEAST_WIDTH, dtype=np.float64))
+            lobe = 1.0 / np.square(1.0 - np.square(cosine) * (1.0 - square))
+            chance += _FOLLOW / normal.shape[1] * lobe / lobe.mean(axis=1, keepdims=True)
+        sums = np.cumsum(chance, axis=1)
+        # Evenly spaced along the sum, from a random start: each pair as often as its chance says, up to one.
+        at = (np.arange(pairs) + random.random((len(sums), 1))) / pairs * sums[:, -1:]
+        for row, (line, places) in enumerate(zip(sums, at, strict=True), first):
+            chosen[row] = np.minimum(np.searchsorted(line, places, side="right"), len(pool) - 1)
+            weight[row] = 1.0 / chance[row - first, chosen[row]]
+    return chosen, weight / weight.sum(axis=1, keepdims=True)
 
 
 @cache
