@@ -24,9 +24,10 @@ _ENVIRONMENT_DIRECTIONS = 1 << 15
 
 # Pairs are drawn anew until both directions are above the horizon. Where none of so many are, none will be.
 _DRAWS, _ROUNDS = 4096, 8
-# Pairs that those of all texels are chosen from where highlights are looked for, texels looked at together, share of
-# the choice that follows the highlights, and their least width.
-_POOL, _CHUNK, _FOLLOW, _LEAST_WIDTH = 1 << 16, 32, 0.5, 0.01
+# Where highlights are looked for: pairs that are drawn, of which each texel chooses among so many (that many more would
+# cost time, and the same ones for all texels would err alike); share of the choice that follows the highlights, and
+# their least width.
+_POOL, _WINDOW, _FOLLOW, _LEAST_WIDTH = 1 << 17, 1 << 14, 0.5, 0.01
 
 
 def directions(
@@ -90,21 +91,19 @@ def _choose(
     """
     half = pool.sum(axis=1)
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    square = np.square(np.maximum(width, _LEAST_WIDTH, dtype=np.float64))
+    first = random.integers(len(pool) - _WINDOW + 1, size=len(normal))
+    start = random.random(len(normal))
     chosen, weight = np.empty((len(normal), pairs), np.int64), np.empty((len(normal), pairs))
-    for first in range(0, len(normal), _CHUNK):
-        part = slice(first, first + _CHUNK)
-        chance = np.full((len(normal[part]), len(pool)), 1.0 - _FOLLOW)
-        for k in range(normal.shape[1]):
-            cosine = np.maximum(np.asarray(normal[part, k], np.float64) @ half.T, 0.0)
-            square = np.square(np.maximum(width[part, k, None], _LEAST_WIDTH, dtype=np.float64))
-            lobe = 1.0 / np.square(1.0 - np.square(cosine) * (1.0 - square))
-            chance += _FOLLOW / normal.shape[1] * lobe / lobe.mean(axis=1, keepdims=True)
-        sums = np.cumsum(chance, axis=1)
+    for i, lobes in enumerate(normal.astype(np.float64)):
+        cosine = np.maximum(lobes @ half[first[i] : first[i] + _WINDOW].T, 0.0)
+        lobe = 1.0 / np.square(1.0 - np.square(cosine) * (1.0 - square[i, :, None]))
+        chance = (1.0 - _FOLLOW) + _FOLLOW * (lobe / lobe.mean(axis=1, keepdims=True)).mean(axis=0)
+        sums = np.cumsum(chance)
         # Evenly spaced along the sum, from a random start: each pair as often as its chance says, up to one.
-        at = (np.arange(pairs) + random.random((len(sums), 1))) / pairs * sums[:, -1:]
-        for row, (line, places) in enumerate(zip(sums, at, strict=True), first):
-            chosen[row] = np.minimum(np.searchsorted(line, places, side="right"), len(pool) - 1)
-            weight[row] = 1.0 / chance[row - first, chosen[row]]
+        at = np.searchsorted(sums, (np.arange(pairs) + start[i]) / pairs * sums[-1], side="right")
+        at = np.minimum(at, _WINDOW - 1)
+        chosen[i], weight[i] = first[i] + at, 1.0 / chance[at]
     return chosen, weight / weight.sum(axis=1, keepdims=True)
 
 
