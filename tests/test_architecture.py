@@ -48,7 +48,13 @@ FORBIDDEN = {
     },
     # Data for the console, which prints it.
     "brdffit.doctor": {"brdffit.render", "brdffit.console", "brdffit.cli", "brdffit.report", "rich", "click"},
-    "brdffit.comparison": {"brdffit.cli", "brdffit.library", "brdffit.report.page", "matplotlib", "jinja2"},
+    "brdffit.comparison": {
+        "brdffit.cli", "brdffit.library", "brdffit.planning", "brdffit.report.page", "matplotlib", "jinja2"
+    },
+    # A plan stands on all that bakes and measures, and none of that on a plan.
+    "brdffit.planning": {"brdffit.cli", "brdffit.library", "brdffit.report.page", "matplotlib", "jinja2", "click"},
+    # What a scene file says can be told without a kernel.
+    "brdffit.planning.description": {"brdffit.render", "brdffit.fitting", "brdffit.halfangle", "brdffit.comparison"},
     "baselines": {"brdffit.fitting", "brdffit.halfangle", "brdffit.textures", "brdffit.render", "brdffit.cli"},
 }  # fmt: skip
 

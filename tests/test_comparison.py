@@ -8,10 +8,11 @@ from report_support import comparison as handmade
 from brdffit.cli import main
 from brdffit.comparison import views
 from brdffit.comparison.ask import Ask, variant
-from brdffit.comparison.compare import _environment, _free_name, _name, compare
+from brdffit.comparison.compare import _free_name, _name, compare
 from brdffit.comparison.lobes import SIDE, lobe_view, representative_texels, same_place
 from brdffit.comparison.maps import TILE, map_strip
 from brdffit.comparison.one_set import SetWork
+from brdffit.comparison.surroundings import read_environment
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.methods import BakeOptions
 from brdffit.render import lights, scenes
@@ -141,9 +142,9 @@ def test_sets_of_one_name_are_told_apart():
 def test_a_picture_that_is_no_environment_is_told(tmp_path):
     write_png(tmp_path / "grey.png", np.full((4, 8), 128, np.uint8))
     with pytest.raises(InputError, match=r"grey\.png' cannot light a scene: .*expected \(H, W, 3\)"):
-        _environment(str(tmp_path / "grey.png"))
+        read_environment(str(tmp_path / "grey.png"))
     write_png(tmp_path / "sky.png", np.full((4, 8, 4), 255, np.uint8))
-    assert _environment(str(tmp_path / "sky.png")).radiance.shape == (4, 8, 3)
+    assert read_environment(str(tmp_path / "sky.png")).radiance.shape == (4, 8, 3)
 
 
 def test_a_set_is_called_as_its_folder(tmp_path):

@@ -7,6 +7,7 @@ light as the luminance that a surface facing it receives. Cosines are left to th
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,21 @@ from brdffit.render.shading import into_frame
 #: Different directions of an environment that are drawn from: as many as a map of 256 x 128 has pixels.
 _ENVIRONMENT_DIRECTIONS = 1 << 15
 
-# Pairs are drawn anew until both directions are above the horizon; one in this many must be at least.
-_MOST_DRAWS = 256
+# Pairs are drawn anew until both directions are above the horizon. Where none of so many are, none will be.
+_DRAWS, _ROUNDS = 4096, 8
+# Where highlights are looked for: pairs that are drawn, of which each texel chooses among so many (that many more would
+# cost time, and the same ones for all texels would err alike); share of the choice that follows the highlights, and
+# their least width.
+_POOL, _WINDOW, _FOLLOW, _LEAST_WIDTH = 1 << 17, 1 << 14, 0.5, 0.01
 
 
 def directions(
-    scene: SceneFile, surface: Surface, texels: int, pairs: int, seed: int = 0
+    scene: SceneFile,
+    surface: Surface,
+    texels: int,
+    pairs: int,
+    seed: int = 0,
+    highlights: tuple[NDArray, NDArray] | None = None,
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Random pairs of directions at some texels of a surface.
 
@@ -43,6 +53,9 @@ def directions(
         texels: how many.
         pairs: at each texel.
         seed: same seed, same directions.
+        highlights: the K lobes of each texel that are compared: normals (texels, K, 3) and widths (texels, K), each an
+            alpha. Half of the pairs are then chosen for half vectors there, and weigh less in turn: small lights hardly
+            ever hit a sharp lobe by chance, and some dozens of such pairs tell what thousands of others do.
 
     Returns:
         view and light (texels, pairs, 3), float64 unit vectors in the tangent space of the mean plane (where a surface
@@ -52,20 +65,55 @@ def directions(
         InputError: when the environment cannot be read, or no light reaches what the cameras see.
     """
     random, sources = np.random.default_rng(seed), _Sources(scene)
-    wanted = texels * pairs
+    wanted, rounds = texels * pairs if highlights is None else _POOL, 0
     found: list[NDArray] = []
-    count, drawn = 0, 0
-    while count < wanted:
-        if drawn >= _MOST_DRAWS * wanted:
+    while sum(map(len, found)) < wanted:
+        if rounds >= _ROUNDS and not any(map(len, found)):
             raise InputError(
                 f"No light of the scene reaches '{surface.name or surface.set}' where the cameras see it: expected one "
                 "above its horizon (the third number of `direction` above 0), or an environment that is not black."
             )
-        pair = _draw(scene, surface, sources, wanted, random)
-        found.append(pair)
-        count, drawn = count + len(pair), drawn + wanted
-    both = np.concatenate(found)[:wanted].reshape(texels, pairs, 2, 3)
-    return both[:, :, 0].copy(), both[:, :, 1].copy(), np.full((texels, pairs), 1.0 / pairs)
+        found.append(_draw(scene, surface, sources, max(wanted, _DRAWS), random))
+        rounds += 1
+    both = np.concatenate(found)[:wanted]
+    if highlights is None:
+        both, weight = both.reshape(texels, pairs, 2, 3), np.full((texels, pairs), 1.0 / pairs)
+    else:
+        chosen, weight = _choose(both, pairs, *highlights, random)
+        both = both[chosen]
+    return both[:, :, 0].copy(), both[:, :, 1].copy(), weight
+
+
+def _choose(
+    pool: NDArray, pairs: int, normal: NDArray, width: NDArray, random: np.random.Generator
+) -> tuple[NDArray, NDArray]:
+    """Which pairs of a pool (N, 2, 3) n texels take, and their weights: both (n, pairs).
+
+    A pair's chance is, in equal parts, that of all and those of GGX lobes at its half vector; its weight the inverse.
+    """
+    half = pool.sum(axis=1)
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    square = np.square(np.maximum(width, _LEAST_WIDTH, dtype=np.float64))
+    first = random.integers(len(pool) - _WINDOW + 1, size=len(normal))
+    start = random.random(len(normal))
+    chosen, weight = np.empty((len(normal), pairs), np.int64), np.empty((len(normal), pairs))
+    for i, lobes in enumerate(normal.astype(np.float64)):
+        cosine = np.maximum(lobes @ half[first[i] : first[i] + _WINDOW].T, 0.0)
+        lobe = 1.0 / np.square(1.0 - np.square(cosine) * (1.0 - square[i, :, None]))
+        chance = (1.0 - _FOLLOW) + _FOLLOW * (lobe / lobe.mean(axis=1, keepdims=True)).mean(axis=0)
+        sums = np.cumsum(chance)
+        # Evenly spaced along the sum, from a random start: each pair as often as its chance says, up to one.
+        at = np.searchsorted(sums, (np.arange(pairs) + start[i]) / pairs * sums[-1], side="right")
+        at = np.minimum(at, _WINDOW - 1)
+        chosen[i], weight[i] = first[i] + at, 1.0 / chance[at]
+    return chosen, weight / weight.sum(axis=1, keepdims=True)
+
+
+@cache
+def _surroundings(environment: str) -> tuple[NDArray, float]:
+    """Directions (n, 3) of an environment, as often as its luminance, and the integral of that."""
+    found = read_environment(None if environment == PROCEDURAL else environment)
+    return found.samples(_ENVIRONMENT_DIRECTIONS)[0], float(LUMINANCE @ found.total())
 
 
 def lights_of(scene: SceneFile) -> Lights | None:
@@ -93,10 +141,9 @@ class _Sources:
         self.lights: tuple[Light, ...] = scene.lights
         self.around: NDArray | None = None
         luminance = [float(np.dot(LUMINANCE, light.rgb)) for light in scene.lights]
-        environment = environment_of(scene)
-        if environment is not None:
-            self.around = environment.samples(_ENVIRONMENT_DIRECTIONS)[0]
-            luminance.append(float(LUMINANCE @ environment.total()))
+        if scene.environment is not None:
+            self.around, total_around = _surroundings(scene.environment)
+            luminance.append(total_around)
         total = sum(luminance)
         if total <= 0.0:
             raise InputError("The lights of the scene are black: expected an `irradiance` above 0.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -74,6 +75,7 @@ class SurfaceWork:
         sample = self._sample(base, seen)
         everything = self._everything(facts)
         on = sample.versions(self._setup(seen, everything))
+        sample.aim(on)
         found = sample.errors([on])
         tried = self._try(base, sample, seen, facts, on, found, tell)
 
@@ -108,8 +110,9 @@ class SurfaceWork:
         seen = reached_levels(self.scene, self.surface, base.size)
         sample = self._sample(base, seen)
         everything = self._everything(settled(self.scene, base, planned.reach))
-        baked = sample.picked([level.svbrdf for level in pyramid.levels])
-        errors = sample.errors([sample.versions(self._setup(seen, everything)), baked])
+        on = sample.versions(self._setup(seen, everything))
+        sample.aim(on)
+        errors = sample.errors([on, sample.picked([level.svbrdf for level in pyramid.levels])])
         return Outcome(seconds=seconds, snr_db=snr_db(errors, 1)), loss(errors, 1)
 
     def _try(
@@ -192,7 +195,7 @@ class SurfaceWork:
         return Sample(base, options, levels, self._draw(self.scene), self.seed, threads=self.threads)
 
     def _draw(self, scene: SceneFile) -> Draw:
-        return lambda texels, pairs, seed: directions(scene, self.surface, texels, pairs, seed)
+        return functools.partial(directions, scene, self.surface)
 
     def _seconds(self, sample: Sample, seen: Reach, off: set[str], tried: _Tried) -> float:
         return sample.seconds([self._setup(seen, off)])[0] + _refining(tried, off)

@@ -36,9 +36,9 @@ TEXELS, PAIRS, FOOTPRINT, LEVELS = 192, 256, 1024, 4
 _TIMED, _REPEATS, _MOST_TEXELS = 0.04, 3, 4096
 _RESAMPLED = 200
 
-#: (view, light, weight) for so many texels and pairs, see ``lighting.directions``.
+#: (view, light, weight) for so many texels and pairs, a seed, and highlights; see ``lighting.directions``.
 Directions = tuple[NDArray, NDArray, NDArray]
-Draw = Callable[[int, int, int], Directions]
+Draw = Callable[[int, int, int, tuple[NDArray, NDArray] | None], Directions]
 
 
 class Errors(NamedTuple):
@@ -81,6 +81,7 @@ class Sample:
         self.sizes = level_sizes(base.size)
         self.levels = sorted({round(level) for level in np.linspace(*reach, LEVELS)})
         self.texels = {k: random_texels(self.sizes[k], texels, self._seed(k)) for k in self.levels}
+        self._highlights: list[tuple[NDArray, NDArray]] | None = None
         self._bases: dict[tuple[str, ...], tuple[Svbrdf, Base]] = {}
         self._samples: dict[tuple[int, tuple[str, ...]], LevelSample] = {}
 
@@ -95,6 +96,21 @@ class Sample:
         """The sampled texels of a pyramid that was baked."""
         return [_picked(levels[level], *self.texels[level]) for level in self.levels]
 
+    def aim(self, version: Sequence[Svbrdf]) -> None:
+        """From now on half of the pairs look for highlights: of these lobes, and of the base texels in their middle."""
+        self._highlights = []
+        for level, fitted in zip(self.levels, version, strict=True):
+            columns, rows = self.texels[level]
+            height, width = self.sizes[level]
+            at = (
+                (2 * columns + 1) * self.base.size[1] // (2 * width),
+                (2 * rows + 1) * self.base.size[0] // (2 * height),
+            )
+            both = fitted, _picked(self.base, *at)
+            normals = np.concatenate([each.normal for each in both], axis=1)
+            log_alpha = np.concatenate([each.log_roughness[..., :2].mean(axis=-1) for each in both], axis=1)
+            self._highlights.append((normals, np.exp(0.5 * log_alpha)))
+
     def errors(
         self, versions: Sequence[Sequence[Svbrdf]], terms: Terms | None = None, draw: Draw | None = None
     ) -> Errors:
@@ -102,10 +118,11 @@ class Sample:
         found = Errors([], [])
         for i, level in enumerate(self.levels):
             columns, rows = self.texels[level]
+            highlights = self._highlights[i] if self._highlights else None
             error, reference = pair_errors(
                 self.base, [version[i] for version in versions], columns, rows, terms=terms or Terms(),
                 samples=FOOTPRINT, size=self.sizes[level], threads=self.threads,
-                directions=(draw or self.draw)(len(columns), PAIRS, self._seed(level)),
+                directions=(draw or self.draw)(len(columns), PAIRS, self._seed(level), highlights),
             )  # fmt: skip
             found.error.append(error)
             found.reference.append(reference)

@@ -93,6 +93,14 @@ def test_each_set_is_what_it_is_for(made) -> None:
     elif name == "glossy-tiles":
         # Dark glaze is smooth, pale grout is rough.
         assert np.corrcoef(svbrdf.diffuse.mean(2).ravel(), roughness.ravel())[0, 1] > 0.9
+    elif name == "plaster-wall":
+        assert not np.ptp(svbrdf.diffuse, axis=(0, 1)).any() and svbrdf.specular.max() < 0.05
+        assert roughness.min() > 0.8
+        assert 0.01 < slope.std() < 0.1
+    elif name == "rocky-terrain":
+        assert slope.std() > 0.4
+        assert roughness.min() > 0.5
+        assert svbrdf.diffuse.std(axis=(0, 1)).min() > 0.05 and roughness.std() > 0.05
     else:
         assert metal
         assert roughness.mean() < 0.1
