@@ -9,10 +9,10 @@ from pathlib import Path
 
 import click
 
-from benchmarks import accuracy, integrals, rendering, roofline, scaling, speed, startup, tolerance
+from benchmarks import accuracy, effects, integrals, rendering, roofline, scaling, speed, startup, tolerance
 from benchmarks.record import ROOT, Section, as_markdown, as_record, machine
 
-CONCERNS = ("startup", "speed", "rendering", "scaling", "integrals", "roofline", "tolerance", "accuracy")
+CONCERNS = ("startup", "speed", "rendering", "scaling", "integrals", "roofline", "tolerance", "effects", "accuracy")
 
 
 @click.command()
@@ -50,6 +50,7 @@ def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets
         "scaling": lambda: scaling.measure_scaling(quick),
         "roofline": lambda: roofline.measure_roofline(materials, quick),
         "tolerance": lambda: tolerance.measure_tolerance(materials, quick),
+        "effects": lambda: effects.measure_effects(materials, quick),
         "integrals": lambda: integrals.measure_integrals(quick),
         "accuracy": lambda: accuracy.measure_accuracy(materials, quick, save, sets),
     }

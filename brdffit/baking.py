@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from brdffit.errors import UnknownNameError
 from brdffit.fitting.batch import model_kernels
-from brdffit.fitting.status import STATUS_NAMES
+from brdffit.fitting.status import NOT_REACHED, STATUS_NAMES
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import measure, random_texels, snr
@@ -53,7 +53,7 @@ class BakeReport:
     Attributes:
         folder: where the files are (OUT/<set>).
         pyramid: the levels.
-        measured: per level, ``snr_db`` and ``energy_kept`` against the dense rule on random texels.
+        measured: per level, ``snr_db`` and ``energy_kept`` against the dense rule on random texels, see ``assess``.
         notes: sentences for the user.
         seconds: wall-clock seconds of each phase.
         manifest: as written.
@@ -191,12 +191,18 @@ def bake_options(preset: str | None, given: Mapping[str, Any]) -> BakeOptions:
 
 
 def assess(svbrdf: Svbrdf, pyramid: Pyramid, texels: int = _REPORT_TEXELS) -> list[dict[str, Any]]:
-    """SNR in dB and energy kept of each level, measured on random texels against a dense rule."""
+    """SNR in dB and energy kept of each level, measured on random texels against a dense rule.
+
+    Nothing of levels that no pixel reads.
+    """
     source, target = get_model(svbrdf.model), get_model(pyramid.model)
     kernels = model_kernels(source.name, target.name)
     base = base_of(svbrdf, source.default_shape)
-    figures = []
+    figures: list[dict[str, Any]] = []
     for mip_level, level in enumerate(pyramid.levels):
+        if level.status is not None and (level.status == NOT_REACHED).all():
+            figures.append({})
+            continue
         columns, rows = random_texels(level.svbrdf.size, texels, seed=mip_level)
         found = measure(
             base, svbrdf.size, [level], columns, rows, pixel_filter=pyramid.options.pixel_filter,

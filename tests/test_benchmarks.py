@@ -11,14 +11,18 @@ from click.testing import CliRunner
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed
 
-from benchmarks import integrals  # noqa: E402
+from benchmarks import effects, integrals  # noqa: E402
 from benchmarks.__main__ import main  # noqa: E402
 from benchmarks.accuracy import CLOSED_FORMS, compare_set, targets  # noqa: E402
 from benchmarks.materials import NAMED, accuracy_sets, load_procedural, tiled, write_tiled  # noqa: E402
 from benchmarks.record import Section, Target, as_markdown, machine, table  # noqa: E402
+from brdffit.fitting.effects import kernels_of  # noqa: E402
+from brdffit.fitting.method import NonlinearFit  # noqa: E402
 from brdffit.fitting.sampling import LevelSample  # noqa: E402
+from brdffit.halfangle import objective, quadrature  # noqa: E402
 from brdffit.halfangle.measure import lobe_parameters  # noqa: E402
 from brdffit.methods import BakeOptions, get_method  # noqa: E402
+from brdffit.models import get_model  # noqa: E402
 from brdffit.textures.image_io import read_image  # noqa: E402
 from brdffit.textures.procedural import make_set  # noqa: E402
 
@@ -96,6 +100,29 @@ def test_sets_without_a_folder_of_real_ones(tmp_path):
     for name in (*NAMED[:1], "aaa"):
         (tmp_path / name).mkdir()
     assert list(accuracy_sets(tmp_path, quick=False)) == [NAMED[0], "aaa"]
+
+
+def test_a_cut_kernel_has_no_line_of_what_was_cut():
+    for template in (objective.moments, objective.lobe_values, quadrature.tabulate):
+        assert "HORIZON" in effects.without_lines(template) and "HORIZON" not in effects.without_lines(
+            template, HORIZON=False
+        )
+    moments = effects.without_lines(objective.moments, HORIZON=False, TURNS=False, STRETCHES=False)
+    assert not [name for name in ("RIM", "fade", "uc", "uv", "TURNS", "STRETCHES") if f"{name} =" in moments]
+    assert "fade" in effects.without_lines(objective.moments)
+
+
+@pytest.mark.slow
+def test_kernels_with_a_switch_off_do_what_kernels_without_its_lines_do(hammered):
+    ggx = get_model("ggx")
+    for options, switch in (({"horizon": False}, "HORIZON"), ({"lobe": "isotropic"}, "STRETCHES")):
+        asked = BakeOptions(levels=1, **options)
+        cut = effects._kernels_without(**{switch: False})
+        assert not {each.py_func for each in cut[:3]} & {each.py_func for each in kernels_of(asked, ggx, ggx)[:3]}
+        off = NonlinearFit().bake(hammered, asked)[0].svbrdf
+        never = effects._with(cut, lambda asked=asked: NonlinearFit().bake(hammered, asked))()[0].svbrdf
+        np.testing.assert_allclose(off.log_roughness, never.log_roughness, atol=1e-4)
+        np.testing.assert_allclose(off.specular, never.specular, rtol=1e-4)
 
 
 def test_tables_align_and_hold_every_row():

@@ -113,7 +113,10 @@ def test_only_what_is_reached_is_refined():
 
 def test_the_manifest_holds_every_option_and_counts_what_is_not_reached():
     pyramid = bake(coloured(), reach=(0, 1), coupling=False)
-    manifest = build_manifest(pyramid, name="set", status_names=STATUS_NAMES)
+    assert pyramid.notes == ["Pixels read levels 0 to 1 alone; the others are averaged, not fitted."]
+    measured = baking.assess(coloured(), pyramid)
+    assert [bool(figures) for figures in measured] == [True, True, False, False, False]
+    manifest = build_manifest(pyramid, name="set", status_names=STATUS_NAMES, measured=measured)
     assert manifest["options"].keys() == {each.name for each in dataclasses.fields(BakeOptions)} - {"threads"}
     assert manifest["options"]["reach"] == (0, 1) and manifest["levels"][2]["statuses"] == {"not reached": 16}
 
@@ -302,6 +305,10 @@ def test_options_may_be_given_anew_for_each_fit():
     sample, asked = LevelSample(coloured(), 1, *random_texels((8, 8), 20, seed=1)), BakeOptions(colour="shared")
     anew, own = sample.fit(asked)[1], LevelSample(coloured(), 1, sample.columns, sample.rows, asked).fit()[1]
     assert all(np.array_equal(a, b) for a, b in zip(anew, own, strict=True))
+    again = (
+        LevelSample(coloured(), 0, *random_texels((16, 16), 9, seed=2)).at(1, sample.columns, sample.rows).fit(asked)[1]
+    )
+    assert all(np.array_equal(a, b) for a, b in zip(anew, again, strict=True))
     few = sample.subset(5).fit(asked)[1]
     assert np.array_equal(few.specular, anew.specular[:5])
 

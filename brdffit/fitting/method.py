@@ -107,6 +107,9 @@ class NonlinearFit:
             read = Pyramid(self.name, options, pyramid.levels[: fitted[-1] + 1])
             refine_pyramid(read, base, level_samplings, search, kernels, first=max(kept, fitted[0]))
             pyramid.notes += read.notes
+        if len(searched) < len(sizes) - authored:
+            levels = f"level {fitted[0]}" if len(fitted) == 1 else f"levels {fitted[0]} to {fitted[-1]}"
+            pyramid.notes.append(f"Pixels read {levels} alone; the others are averaged, not fitted.")
         failed = sum(int((level.status == FALLBACK).sum()) for level in pyramid.levels if level.status is not None)
         if failed:
             pyramid.notes.append(f"The search failed for {failed} texels; they hold their closed-form start.")

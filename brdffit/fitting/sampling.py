@@ -74,6 +74,13 @@ class LevelSample:
         few._averages = {name: average[:count] for name, average in self._averages.items()}
         return few
 
+    def at(self, mip_level: int, columns: NDArray, rows: NDArray) -> LevelSample:
+        """Texels of another level of the same base; what was made of the base is shared."""
+        other = copy.copy(self)
+        other.mip_level, other.columns, other.rows, other._averages = mip_level, columns, rows, {}
+        other.size = level_sizes(self.base_size, mip_level + 1)[mip_level]
+        return other
+
     def seen(self, options: BakeOptions | None = None) -> Seen:
         """What a fit under these options sees of the base; made once."""
         options = options or self.options
