@@ -235,16 +235,30 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
 @click.option("--lobe", **_choice("anisotropic", "isotropic"), show_default="anisotropic")
 @click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no picture depends on it.")
 @click.option("--from", "records", metavar="FILE", help="Draw the page of this records.json anew; computes nothing.")
+@click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=_SCENE_HELP)
 @_reading_options
-def compare(sources: tuple[str, ...], output: Path | None, records: str | None, **asked: Any) -> None:
+@click.pass_context
+def compare(
+    context: click.Context, sources: tuple[str, ...], output: Path | None, records: str | None,
+    scene_file: Path | None, **asked: Any,
+) -> None:  # fmt: skip
     """Bake each SET by every method, hold them against the reference, and write a report."""
+    from brdffit.comparison.ask import Ask
     from brdffit.comparison.console import compare_to_folder, print_summary, redraw
 
-    if bool(sources) == bool(records):
-        raise click.UsageError("Give texture sets to compare, or --from FILE to draw a report anew.")
+    if bool(sources) + bool(records) + bool(scene_file) != 1:
+        raise click.UsageError("Give texture sets to compare, or --scene FILE, or --from FILE to draw a report anew.")
     reading = {name: asked.pop(name) for name in ("roles", "normal_y", "wrap", "height_scale")}
     given = {name: value for name, value in asked.items() if value not in (None, False, ())}
-    page = redraw(records, output) if records else compare_to_folder(sources, output or "report", reading, **given)
+    if records:
+        page = redraw(records, output)
+    elif scene_file:
+        from brdffit.planning.console import compare_by_plan
+
+        _refuse_beside_scene(context, ("scene_file", "output", "methods", "quick", "threads"))
+        page = compare_by_plan(scene_file, output or "report", **given)
+    else:
+        page = compare_to_folder(sources, output or "report", Ask.of(reading=reading, **given))
     print_summary(page)
 
 

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -19,6 +19,9 @@ from rich.text import Text
 
 from brdffit.report.records import MOST_DB, RECORDS, Comparison
 from brdffit.report.summary import DISTANCES, GROUPS, Cell, summary
+
+if TYPE_CHECKING:
+    from brdffit.comparison.ask import Ask
 
 Path_ = str | os.PathLike[str]
 #: Columns where no terminal sets them.
@@ -62,21 +65,19 @@ class ComparisonDisplay:
         self._bars.update(self._task, description=description, total=total, completed=done)
 
 
-def compare_to_folder(sources: Sequence[Path_], folder: Path_, reading: Mapping[str, Any], **asked: Any) -> Written:
+def compare_to_folder(sources: Sequence[Any], folder: Path_, ask: Ask | Sequence[Ask]) -> Written:
     """Compare sets and write the report; what was in the folder stays until all is done.
 
     Args:
-        sources: sets. folder: of the report. reading: see ``read_texture_set``. asked: see ``Ask.of``.
+        sources: sets, see ``compare``. folder: of the report. ask: what, for all sets or for each.
 
     Raises:
         InputError, UnknownNameError, OutputError: see ``compare`` and ``write_report``.
     """
     # Heavy: numba and the kernels behind it.
-    from brdffit.comparison.ask import Ask
     from brdffit.comparison.compare import compare
     from brdffit.report.writing import check_report_folder, write_report
 
-    ask = Ask.of(reading=reading, **asked)
     check_report_folder(folder)
     command = shlex.join(["brdffit", *sys.argv[1:]])
     with ComparisonDisplay() as display:

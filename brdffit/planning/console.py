@@ -18,6 +18,7 @@ from brdffit.textures.atomic import write_text
 
 if TYPE_CHECKING:
     from brdffit.baking import BakeReport
+    from brdffit.comparison.console import Written
 
 #: Columns where no terminal sets them.
 _PIPED_WIDTH = 160
@@ -59,6 +60,23 @@ def bake_by_plan(path: Path, output: Path, *, preview: bool, threads: int | None
     print_plan(plan)
     with BakeDisplay() as display:
         return bake_scene(scene, plan, output, preview=preview, threads=threads, progress=display)
+
+
+def compare_by_plan(
+    path: Path, output: str | Path, *, methods: Sequence[str] = (), quick: bool = False, threads: int | None = None
+) -> Written:
+    """Plan a scene, show the plan, and compare methods on its surfaces: what it leaves out is not simulated.
+
+    Raises:
+        InputError, OutputError: as ``make_plan`` and ``compare_to_folder``.
+    """
+    from brdffit.comparison.console import compare_to_folder
+    from brdffit.planning.run import comparisons
+
+    scene, plan = make_plan(path, threads=threads)
+    print_plan(plan)
+    sources, asks = comparisons(scene, plan, methods=methods, quick=quick, threads=threads)
+    return compare_to_folder(sources, output, asks)
 
 
 def print_plan(plan: Plan, short: bool = False) -> None:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from brdffit.baking import BakeReport, ProgressListener, bake_to_folder
-from brdffit.methods import Pyramid
-from brdffit.planning.description import SceneFile
+from brdffit.comparison.ask import ENVIRONMENT, SMALL_LIGHTS, Ask
+from brdffit.methods import BakeOptions, Pyramid
+from brdffit.planning.description import PROCEDURAL, SceneFile
+from brdffit.planning.lighting import lights_of
 from brdffit.planning.plan import Plan, SurfacePlan
 from brdffit.planning.surface import SurfaceWork, Tell
+from brdffit.render.terms import Terms
+from brdffit.textures.texture_set import TextureSet, read_texture_set
 
 
 def _nobody(text: str) -> None:
@@ -60,6 +66,36 @@ def bake_scene(
             )
         )  # fmt: skip
     return reports
+
+
+def comparisons(
+    scene: SceneFile, plan: Plan, *, methods: Sequence[str] = (), quick: bool = False, threads: int | None = None
+) -> tuple[list[TextureSet], list[Ask]]:
+    """The surfaces of a scene, and what a comparison is asked of each: no more than its plan has on.
+
+    Args:
+        methods, quick, threads: as ``Ask.of``.
+
+    Raises:
+        InputError: for a set that cannot be read.
+    """
+    sources, asks = [], []
+    for surface, planned in zip(scene.surfaces, plan.surfaces, strict=True):
+        lit = [SMALL_LIGHTS] if scene.lights else []
+        usual = Ask.of(methods=methods, quick=quick, threads=threads)
+        sources.append(read_texture_set(surface.set, **surface.reading()))
+        asks.append(
+            dataclasses.replace(
+                usual,
+                environment=None if scene.environment == PROCEDURAL else scene.environment,
+                lights=lights_of(scene),
+                lit=tuple(lit + [ENVIRONMENT] * planned.environment),
+                terms=Terms(**dict.fromkeys(planned.terms, False)),
+                unread=planned.unread,
+                options=BakeOptions(**{**planned.options, "threads": threads}),
+            )
+        )
+    return sources, asks
 
 
 def _notes(work: SurfaceWork, planned: SurfacePlan, pyramid: Pyramid, seconds: float) -> dict[str, Any]:

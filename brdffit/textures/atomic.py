@@ -44,7 +44,8 @@ def write_text(path: Path, text: str) -> None:
     except OSError as error:
         raise OutputError(f"'{path}' could not be written: {error.strerror or error}.") from error
     finally:
-        fresh.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            fresh.unlink()
 
 
 def first_other(folder: Path, ours: Collection[str]) -> str | None:
