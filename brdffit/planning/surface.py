@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
@@ -94,7 +95,7 @@ class SurfaceWork:
                 notes.append(f"The budget of {most:g} s cannot be met: what is left takes about {seconds:.1f} s.")
         final, snr = self._setup(seen, off), snr_db(found, 0)
         return SurfacePlan(
-            name=self.surface.name, set=self.surface.set, size=base.size, reach=(seen.first, seen.last),
+            name=self.surface.name, set=Path(self.surface.set).name, size=base.size, reach=(seen.first, seen.last),
             seen=seen.sentence, effects=tuple(self._row(name, name not in off, facts, tried) for name in BY_NAME),
             options=_changed(final.options), unread=tuple(r for r in final.unread if r in self.texture_set.maps),
             terms=tuple(name for name, lit in dataclasses.asdict(final.terms).items() if not lit),
