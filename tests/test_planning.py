@@ -1,4 +1,4 @@
-"""Laws of plans: what is dropped loses no more than the plan says, the user's word wins, and nothing hangs on chance."""
+"""Laws of plans: what is dropped loses no more than they say, the user's word wins, and nothing hangs on chance."""
 
 import dataclasses
 import json
@@ -168,6 +168,7 @@ def test_no_effect_does_harm(plans):
                 assert row.contributes_db >= -3.0 * row.uncertain_db - 0.02, (planned.name, row.name)
 
 
+@pytest.mark.slow
 def test_a_plan_depends_on_its_seed_alone_and_hardly_on_that(folder, plans):
     def verdicts_of(planned):
         return [(row.name, row.on, row.why, row.contributes_db) for row in planned.effects], planned.options
@@ -211,6 +212,7 @@ def test_a_scene_is_planned_and_baked_by_the_command_line(folder, tmp_path):
         assert run("bake", *wrong, "-o", tmp_path / "out").exit_code == 2
 
 
+@pytest.mark.slow
 def test_a_comparison_simulates_what_the_plan_has_on(folder, tmp_path):
     told = CliRunner().invoke(
         main, ["compare", "--scene", str(folder / "plaster-wall.toml"), "-o", str(tmp_path / "r"), "--quick",

@@ -19,10 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.fitting.sampling import LevelSample
-from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.measure import random_texels
 from brdffit.methods import BakeOptions
-from brdffit.models import get_model
 from brdffit.planning.effects import Setup
 from brdffit.render.pairs import pair_errors
 from brdffit.render.terms import Terms
@@ -82,8 +80,7 @@ class Sample:
         self.levels = sorted({round(level) for level in np.linspace(*reach, LEVELS)})
         self.texels = {k: random_texels(self.sizes[k], texels, self._seed(k)) for k in self.levels}
         self._highlights: list[tuple[NDArray, NDArray]] | None = None
-        self._bases: dict[tuple[str, ...], tuple[Svbrdf, Base]] = {}
-        self._samples: dict[tuple[int, tuple[str, ...]], LevelSample] = {}
+        self._bases: dict[tuple[str, ...], LevelSample] = {}
 
     def _seed(self, level: int) -> int:
         return 1000 * (self.seed + 1) + level
@@ -175,10 +172,7 @@ class Sample:
     def _version(self, level: int, setup: Setup) -> Svbrdf:
         if _is_kept(level, setup):
             return _picked(self.base.without(setup.unread), *self.texels[level])
-        key = level, setup.unread
-        if key not in self._samples:
-            self._samples[key] = self._level_sample(level, setup.unread, self.texels[level])
-        sample = self._samples[key]
+        sample = self._level_sample(level, setup.unread, self.texels[level])
         _, output = sample.fit(setup.options)
         arrays = {name: getattr(output, name)[:, None] for name in ("normal", "log_roughness", "specular", "diffuse")}
         shape = output.shape[:, None] if sample.target.shape_bounds else None
@@ -186,10 +180,10 @@ class Sample:
 
     def _level_sample(self, level: int, unread: tuple[str, ...], texels: tuple[NDArray, NDArray]) -> LevelSample:
         if unread not in self._bases:
-            seen = self.base.without(unread)
-            self._bases[unread] = seen, base_of(seen, get_model(seen.model).default_shape)
-        seen, base = self._bases[unread]
-        return LevelSample(seen, level, *texels, self.options, base=base, threads=self.threads)
+            self._bases[unread] = LevelSample(
+                self.base.without(unread), level, *texels, self.options, threads=self.threads
+            )
+        return self._bases[unread].at(level, *texels)
 
 
 def snr_db(found: Errors, version: int) -> float:
