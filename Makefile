@@ -3,12 +3,13 @@ PYTHON ?= python3
 SET ?= data/sets/grooved-record
 OUT ?= out
 LIB ?= data/sets
+SCENE ?= data/scenes/close-up.toml
 OPTIONS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install data bake library compare tradeoff picture test test-slow bench bench-full lint clean
+.PHONY: help install data bake library compare tradeoff plan picture test test-slow bench bench-full lint clean
 .DELETE_ON_ERROR:
 
 help:
@@ -17,6 +18,7 @@ help:
 	@echo "make data        make the shipped texture sets in data/sets"
 	@echo "make tradeoff    [SETS=\"folder ...\"]  what accuracy costs in time: tradeoff/tradeoff.png"
 	@echo "make compare     [SETS=\"folder ...\"]  every method against the reference, on the shipped sets: report/index.html"
+	@echo "make plan        [SCENE=file.toml]  what a scene calls for, and what it costs"
 	@echo "make test        the tests; make test-slow runs those that take long"
 	@echo "make bench       speed and accuracy, the short way; make bench-full takes its time"
 	@echo "make lint        ruff and mypy"
@@ -49,6 +51,9 @@ compare: data/sets/made
 
 tradeoff: data/sets/made
 	$(BIN)/brdffit tradeoff $(or $(SETS),data/sets/*/) -o tradeoff $(OPTIONS)
+
+plan: data/sets/made
+	$(BIN)/brdffit plan "$(SCENE)" -o "$(OUT)/plan.json" $(OPTIONS)
 
 library: install $(if $(filter data/sets%,$(LIB)),data/sets/made)
 	$(BIN)/brdffit library "$(LIB)" -o "$(OUT)/library" $(OPTIONS)

@@ -9,10 +9,21 @@ from pathlib import Path
 
 import click
 
-from benchmarks import accuracy, effects, integrals, rendering, roofline, scaling, speed, startup, tolerance
+from benchmarks import accuracy, effects, integrals, plans, rendering, roofline, scaling, speed, startup, tolerance
 from benchmarks.record import ROOT, Section, as_markdown, as_record, machine
 
-CONCERNS = ("startup", "speed", "rendering", "scaling", "integrals", "roofline", "tolerance", "effects", "accuracy")
+CONCERNS = (
+    "startup",
+    "speed",
+    "rendering",
+    "scaling",
+    "integrals",
+    "roofline",
+    "tolerance",
+    "effects",
+    "plans",
+    "accuracy",
+)
 
 
 @click.command()
@@ -51,6 +62,7 @@ def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets
         "roofline": lambda: roofline.measure_roofline(materials, quick),
         "tolerance": lambda: tolerance.measure_tolerance(materials, quick),
         "effects": lambda: effects.measure_effects(materials, quick),
+        "plans": lambda: plans.measure_plans(materials, quick),
         "integrals": lambda: integrals.measure_integrals(quick),
         "accuracy": lambda: accuracy.measure_accuracy(materials, quick, save, sets),
     }

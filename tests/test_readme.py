@@ -6,6 +6,7 @@ import inspect
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -22,7 +23,9 @@ COMMANDS = [line for block in re.findall(r"```sh\n(.*?)```", TEXT, re.S) for lin
 MAKE = [line for line in COMMANDS if line.startswith("make ")]
 BRDFFIT = [line for line in COMMANDS if line.startswith("brdffit ")]
 PROGRAMS = re.findall(r"```python\n(.*?)```", TEXT, re.S)
-SETS = ("glossy-tiles", "grooved-record", "hammered-metal")
+SETS = ("glossy-tiles", "grooved-record", "hammered-metal", "brushed-metal", "plaster-wall", "rocky-terrain")
+# Planning measures each effect of a scene: seconds that the default run has not.
+SLOW = ("brdffit plan", "brdffit bake --scene", "brdffit compare --scene")
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +34,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("readme")
     for name in SETS:
         make_set(name, folder / "data" / "sets" / name, size=32)
+    shutil.copytree(ROOT / "data" / "scenes", folder / "data" / "scenes")
     return folder
 
 
@@ -43,11 +47,13 @@ def test_commands_were_found():
     assert len(MAKE) + len(BRDFFIT) == len(COMMANDS)
     assert {"make bake", "make test"} <= set(MAKE)
     assert {line.split()[1] for line in BRDFFIT} == {
-        "bake", "compare", "doctor", "inspect", "landscape", "library", "methods", "models",
+        "bake", "compare", "doctor", "inspect", "landscape", "library", "methods", "models", "plan", "scene",
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("command", BRDFFIT)
+@pytest.mark.parametrize(
+    "command", [pytest.param(each, marks=[pytest.mark.slow] * each.startswith(SLOW)) for each in BRDFFIT]
+)
 def test_a_command_runs(command, folder):
     result = run(shlex.split(command), folder)
     assert result.returncode == 0, result.stderr
