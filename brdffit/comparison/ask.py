@@ -86,6 +86,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "free": {"specular": "free"},
     "isotropic": {"lobe": "isotropic"},
     "mean": {"normal": "mean"},
+    "l1": {"loss": "l1"},
+    "relative": {"loss": "relative"},
+    "refined": {"refine": True},
 }
 
 
