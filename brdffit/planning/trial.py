@@ -28,10 +28,11 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 
 #: Relative squared error that nobody sees: a contrast of one percent, about the eye's threshold (40 dB).
 UNSEEN = 1e-4
-#: Sampled texels of a level, pairs of light and viewer at each, samples of a footprint, and levels of a surface.
-TEXELS, PAIRS, FOOTPRINT, LEVELS = 192, 256, 1024, 4
+#: Sampled texels of levels 0 and 1 (each is dearer further down, so there are fewer there, down to the least), pairs of
+#: light and viewer at each, samples of a footprint, and levels of a surface.
+TEXELS, LEAST_TEXELS, PAIRS, FOOTPRINT, LEVELS = 192, 32, 256, 1024, 4
 #: A fit is timed for at least so long, repeatedly, and the shortest counts; but on no more texels than that.
-_TIMED, _REPEATS, _MOST_TEXELS = 0.04, 3, 4096
+_TIMED, _REPEATS, _FEW_TEXELS, _MOST_TEXELS = 0.04, 3, 16, 4096
 _RESAMPLED = 200
 
 #: (view, light, weight) for so many texels and pairs, a seed, and highlights; see ``lighting.directions``.
@@ -67,7 +68,7 @@ class Sample:
         reach: first and last level.
         draw: directions for (texels, pairs, seed).
         seed: of texels and directions.
-        texels: of a level.
+        texels: of levels 0 and 1; fewer further down.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class Sample:
         self.threads = threads
         self.sizes = level_sizes(base.size)
         self.levels = sorted({round(level) for level in np.linspace(*reach, LEVELS)})
-        self.texels = {k: random_texels(self.sizes[k], texels, self._seed(k)) for k in self.levels}
+        self.texels = {k: random_texels(self.sizes[k], _count(texels, k), self._seed(k)) for k in self.levels}
         self._highlights: list[tuple[NDArray, NDArray]] | None = None
         self._bases: dict[tuple[str, ...], LevelSample] = {}
 
@@ -155,7 +156,7 @@ class Sample:
             settings = sample.settings(setup.options)
             # A whole level pays once for it, on one thread.
             pilot[m] = (time.process_time() - start) / texels
-            some = sample.subset(min(len(few[0]), TEXELS))
+            some = sample.subset(min(len(few[0]), _FEW_TEXELS))
             taken = timed(functools.partial(some.fit, setup.options, settings=settings), self.threads)
             count = min(max(math.ceil(len(some) * _TIMED / taken), len(some)), len(few[0]))
             runs.append((sample.subset(count), setup, settings))
@@ -212,6 +213,10 @@ def _pooled(found: Errors, version: int, texels: list[NDArray] | None) -> NDArra
             own, square = own[texels[i]], square[texels[i]]
         shares.append(np.maximum(own.sum(axis=-1), 0.0) / np.maximum(square.sum(axis=-1), 1e-30))
     return np.mean(shares, axis=0)
+
+
+def _count(texels: int, level: int) -> int:
+    return max(texels >> max(level - 1, 0), LEAST_TEXELS)
 
 
 def _is_kept(level: int, setup: Setup) -> bool:
