@@ -16,7 +16,7 @@ from brdffit.fitting.status import FALLBACK
 from brdffit.fitting.texel import GUARDS, Rule, Scratch, Search, fit_texel
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
-from brdffit.halfangle.closed_forms import STARTS
+from brdffit.halfangle.closed_forms import MOMENTS, STARTS
 from brdffit.halfangle.quadrature import lattice
 from brdffit.models import Model
 
@@ -187,6 +187,7 @@ def make_workplace(level: LevelRules, float_width: int = 32) -> tuple[Scratch, t
         starts=np.zeros((STARTS, parameters)),
         colour=np.ones(3),
         moment=np.zeros(9),
+        moments=np.zeros(MOMENTS),
         report=np.zeros(REPORT),
     )
     rules = tuple(

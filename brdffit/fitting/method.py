@@ -36,7 +36,7 @@ from brdffit.models import Model, get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 # A piece of work should take a fraction of a second, so that an interrupt is heard and the bar moves.
-_TEXELS_PER_PIECE = 4096
+_TEXELS_PER_PIECE = 16384
 _LEAST_PIECES = 32
 # Footprints of this many texels an axis take many samples, beside which nodes are cheap: they get more of them.
 _WIDE, _WIDE_NODES = 4, 2
@@ -109,7 +109,8 @@ def level_rules(
     pixels = max(1.0, 2.0 * pixel_filter.radius)
     # An even number a texel: strata then end at texel centres, where the bilinear patches do.
     per_texel = 2 * max(1, math.ceil(0.5 * quality.least / scale))
-    chosen = strata(pixel_filter, base_size, size, per_texel, math.ceil(quality.most * pixels), mip_level)
+    most = math.ceil(quality.most * pixels)
+    chosen = strata(pixel_filter, base_size, size, per_texel, most, mip_level, quality.merge)
     return LevelRules(chosen, max(quality.room, 2 * chosen.samples), points)
 
 
@@ -138,7 +139,7 @@ def search_settings(options: BakeOptions, quality: Quality, base: Base, source: 
         same_model=source.name == target.name,
         trusted=quality.trusted,
         negligible=quality.negligible,
-        crowd=4,
+        crowd=2,
         floor=0.0,
         loss=LOSS_CODES[one_of("loss", options.loss, LOSSES)],
     )
