@@ -24,8 +24,8 @@ from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
 from brdffit.fitting.losses import LOSS_CODES
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.refine import refine_pyramid
-from brdffit.fitting.status import FALLBACK, KEPT
-from brdffit.fitting.texel import Search
+from brdffit.fitting.status import CLOSED_FORM, FALLBACK, KEPT
+from brdffit.fitting.texel import Search, spared
 from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, strata
 from brdffit.halfangle.density import DENSITY_EXPONENTS
@@ -43,6 +43,8 @@ _WIDE, _WIDE_NODES = 4, 2
 # Texels that tell a level's mean error, and texels of a level worth it.
 _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
 _LAXEST = 1e-2
+# Share of a level's fitted texels that few nodes must do for.
+_ENOUGH = 0.3
 
 
 class NonlinearFit:
@@ -142,6 +144,8 @@ def search_settings(options: BakeOptions, quality: Quality, base: Base, source: 
         crowd=2,
         floor=0.0,
         loss=LOSS_CODES[one_of("loss", options.loss, LOSSES)],
+        usual=0 if options.tolerance is None else 1,
+        few=False,
     )
 
 
@@ -166,7 +170,13 @@ def tolerant(
     columns, rows = random_texels(size, _PILOT_TEXELS, seed=mip_level)
     pilot = make_output(len(columns))
     fit_texels(base, rules, columns, rows, search, pilot, kernels)
-    return search._replace(floor=share * float(pilot.residual.mean()))
+    residual = pilot.residual.copy()
+    search = search._replace(floor=share * float(residual.mean()))
+    # Few nodes first only where they do for enough of the texels that are fitted: the others are fitted twice.
+    fit_texels(base, rules, columns, rows, search, pilot, kernels)
+    fitted = residual[pilot.status != CLOSED_FORM]
+    served = np.count_nonzero(fitted <= spared(search.floor, rules.points[0].shape[1]))
+    return search._replace(few=bool(served > _ENOUGH * len(fitted)))
 
 
 def _fit_level(

@@ -78,4 +78,4 @@ def quality_of(options: BakeOptions) -> Quality:
         raise InputError(f"The tolerance is {options.tolerance} dB; it must be above 0.")
     sampling = get_quality(next(name for least, name in _SAMPLING if options.tolerance >= least))
     nodes = 32 * round(min(max(_NODES_TIMES_DB / options.tolerance, _FEWEST), _MOST) / 32)
-    return dataclasses.replace(sampling, nodes=(max(_FEWEST, nodes // 80 * 32), nodes, 4 * nodes))
+    return dataclasses.replace(sampling, nodes=(max(_FEWEST, nodes // 80 * 32), nodes, 2 * nodes))

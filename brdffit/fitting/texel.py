@@ -100,7 +100,8 @@ class Search(NamedTuple):
     ``same_model``: base and pyramid share a lobe model; ``trusted``: largest disagreement of two half rules, as a share
     of the residual, that is not refined; ``negligible``: disagreement (relative squared error) that never is;
     ``crowd``: samples a stratum, in the mean, above which the first rule is passed over (16 strata count for twice as
-    many); ``floor``: relative squared error that each of a texel's shortcuts may cost; ``loss``: L2, RELATIVE or L1.
+    many); ``floor``: relative squared error that each of a texel's shortcuts may cost; ``loss``: L2, RELATIVE or L1;
+    ``usual``: the rule that a texel starts with; ``few``: whether one with little error may start with the first.
     """
 
     free: int
@@ -120,6 +121,8 @@ class Search(NamedTuple):
     crowd: int
     floor: float
     loss: int
+    usual: int
+    few: bool
 
 
 class Scratch(NamedTuple):
@@ -144,6 +147,12 @@ class Rule(NamedTuple):
     points: np.ndarray
     nodes: np.ndarray
     values: np.ndarray
+
+
+@inline
+def spared(floor, nodes):
+    """Error up to which so few nodes will do: five parameters fitted to N of them follow their noise, about 5 e / N."""
+    return floor * nodes / 5.0
 
 
 @inline
@@ -195,30 +204,34 @@ def fit_texel(
         scratch.best[p] = theta[p]
     if flat and search.same_model:
         return FLAT if some else NO_SPECULAR
-    # Five parameters fitted to N nodes follow their noise: they lose about 5 e / N.
-    expected, spare = 0.0, search.floor * rules[0].points.shape[1] / 5.0
+    expected, spare = 0.0, spared(search.floor, rules[0].points.shape[1])
     if search.floor > 0.0:
         expected = closed_form_error(lobes, count, lobes_isotropic, isotropic)
     clamp_to_domain(scratch.starts[LEAN], search)
     start = scratch.starts[LEAN]
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
-    tier = 0 if count <= search.crowd * (_FEW_STRATA + strata.x.size * strata.y.size) else 1
+    crowded = count > search.crowd * (_FEW_STRATA + strata.x.size * strata.y.size)
+    tier = search.usual + 1 if crowded else search.usual
     # What a tolerance allows: the closed form, or few nodes, where they cost less than it.
     if search.floor > 0.0 and some and search.same_model:
         if expected <= search.floor:
             return CLOSED_FORM
-        if _FITTED_SHARE * expected > spare:
-            tier = 1
+        if search.few and not crowded and _FITTED_SHARE * expected <= spare:
+            tier = 0
     guards = 0
     while True:
         status = fit_by_rule(
-            base, lobes, count, lobes_isotropic, some, scratch, rules[tier], search, min(tier, 1),
+            base, lobes, count, lobes_isotropic, some, scratch, rules[tier], search, 1 if tier > search.usual else 0,
             tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
         )  # fmt: skip
         hidden = abs(report[COVERAGE] - 1.0) > _HIDDEN
         doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + max(search.negligible, search.floor)
-        doubtful = doubtful or (tier == 0 and search.floor > 0.0 and report[RESIDUAL] > spare)
+        if tier < search.usual and report[RESIDUAL] > spare and not doubtful and not hidden:
+            # Only more nodes than a tolerance spared: the search goes on from where it ended.
+            doubtful = True
+            for p in range(PARAMETERS):
+                scratch.starts[LEAN, p] = theta[p]
         if hidden and guards < GUARDS:
             if lobes_isotropic:
                 widen_lobes(lobes, count, lobes_isotropic)
@@ -229,7 +242,7 @@ def fit_texel(
         elif not doubtful or tier == len(rules) - 1:
             break
         tier = min(tier + 1, len(rules) - 1)
-    if status == CONVERGED and tier > 0:
+    if status == CONVERGED and tier > search.usual:
         status = REFINED
     if abs(report[COVERAGE] - 1.0) > _LOST:
         # Still out of sight of its nodes: nothing that they say of it counts.
