@@ -82,6 +82,15 @@ def inline(function: Callable) -> Any:
     return _compile(function, forceinline=True, **_FLAGS)
 
 
+def part(function: Callable) -> Any:
+    """A piece of one longer kernel: put into its caller before anything is optimised.
+
+    LLVM optimises a kernel by itself and again within each of its callers, so that a chain of calls compiles its end
+    as often as it is long.
+    """
+    return _compile(function, inline="always", **_FLAGS)
+
+
 def specialise(template: Any, suffix: str, **bindings: Any) -> Any:
     """A kernel with the code of ``template`` and some of its global names bound anew: one loop, many models.
 
@@ -106,8 +115,9 @@ def specialise(template: Any, suffix: str, **bindings: Any) -> Any:
     copy.__qualname__ = source.__qualname__ + suffix
     copy.__module__ = source.__module__
     flags = dict(_FLAGS)
-    if template.targetoptions.get("forceinline"):
-        flags["forceinline"] = True
+    for option in ("forceinline", "inline"):
+        if template.targetoptions.get(option):
+            flags[option] = template.targetoptions[option]
     return _compile(copy, **flags)
 
 

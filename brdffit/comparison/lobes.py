@@ -17,7 +17,6 @@ from brdffit.halfangle.quadrature import (
     H_X,
     H_Z,
     LOBE_COLUMNS,
-    LOG_TENSOR,
     MIXTURE,
     NODE_ROWS,
     NORMAL,
@@ -25,11 +24,12 @@ from brdffit.halfangle.quadrature import (
     RED,
     SHAPE,
     SPECULAR,
+    TENSOR,
 )
 from brdffit.models import Model, get_model
 from brdffit.render.metrics import LUMINANCE
 from brdffit.report.records import LobeView, capped, pack
-from brdffit.roughness import log_from_tensor, tensor_from_log
+from brdffit.roughness import tensor_from_log
 from brdffit.svbrdf import Svbrdf
 
 #: Cells along a side of a grid, and points of a cut.
@@ -144,7 +144,7 @@ def _own_lobe(level: Svbrdf, texel: tuple[int, int]) -> NDArray:
     column, row = texel
     lobe = np.zeros((1, LOBE_COLUMNS))
     lobe[0, NORMAL : NORMAL + 3] = level.normal[row, column]
-    lobe[0, LOG_TENSOR : LOG_TENSOR + 3] = level.log_roughness[row, column]
+    lobe[0, TENSOR : TENSOR + 3] = tensor_from_log(level.log_roughness[row, column])
     lobe[0, SHAPE] = model_of(level.model).default_shape if level.shape is None else level.shape[row, column]
     lobe[0, SPECULAR : SPECULAR + 3] = level.specular[row, column]
     lobe[0, MIXTURE] = 1.0
@@ -162,7 +162,7 @@ def _window(lobes: NDArray) -> tuple[tuple[float, float], float, NDArray]:
     centre = np.array([_quantile(flat[:, k], weight, 0.5) for k in range(2)])
     away = flat - centre
     distance = np.hypot(*away.T)
-    tensor = tensor_from_log(lobes[:, LOG_TENSOR : LOG_TENSOR + 3])
+    tensor = lobes[:, TENSOR : TENSOR + 3]
     width = _quantile(np.sqrt(tensor[:, 0] + tensor[:, 1]), weight, 0.5)
     extent = float(np.clip(_quantile(distance, weight, _SHOWN) + _REACH * width, _LEAST_EXTENT, _MOST_EXTENT))
     # GGX has no variance; half its alpha^2 is that of the Beckmann lobe of the same width.
@@ -183,10 +183,7 @@ def _quantile(values: NDArray, weight: NDArray, share: float) -> float:
 
 def _blur(lobes: NDArray, alpha_squared: float) -> None:
     """Widen all lobes by this much alpha^2, in place."""
-    part = lobes[:, LOG_TENSOR : LOG_TENSOR + 3]
-    tensor = tensor_from_log(part)
-    tensor[:, 0:2] += alpha_squared
-    part[:] = log_from_tensor(tensor)
+    lobes[:, TENSOR : TENSOR + 2] += alpha_squared
 
 
 def _values(lobes: NDArray, model_name: str, x: NDArray, y: NDArray) -> NDArray:
@@ -198,7 +195,7 @@ def _values(lobes: NDArray, model_name: str, x: NDArray, y: NDArray) -> NDArray:
     table = np.zeros((len(lobes) + 1, LOBE_COLUMNS))
     table[:-1] = lobes
     # The defensive lobe, of no weight.
-    table[-1, 2] = 1.0
+    table[-1, 2] = table[-1, TENSOR] = table[-1, TENSOR + 1] = 1.0
     shapes, which = np.unique(table[:, SHAPE], return_inverse=True)
     table[:, NORMALISATION] = np.exp([model.log_normalisation(float(shape))[0] for shape in shapes])[which]
     table[-1, SPECULAR : SPECULAR + 3] = table[-1, MIXTURE] = 0.0

@@ -16,7 +16,7 @@ from brdffit.fitting.status import FALLBACK
 from brdffit.fitting.texel import GUARDS, Rule, Scratch, Search, fit_texel
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
-from brdffit.halfangle.closed_forms import STARTS
+from brdffit.halfangle.closed_forms import MOMENTS, STARTS
 from brdffit.halfangle.quadrature import lattice
 
 #: How many point sets a level has.
@@ -200,7 +200,7 @@ def _example(float_width: int) -> tuple[Any, ...]:
     image, plane, line = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32), np.zeros(1)
     level = LevelRules(Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0), 1, (lattice(1),) * TIERS)
     base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, False, True)
-    search = Search(0, False, 3, 0.0, 0.0, 0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0, 0, 0.0, 0)
+    search = Search(0, False, 3, 0.0, 0.0, 0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0, 0, 0.0, 0, 0, False)
     indices = np.zeros(1, np.int64)
     return base, level.strata, indices, indices, search, *make_workplace(level, float_width), make_output(1)
 
@@ -219,6 +219,7 @@ def make_workplace(level: LevelRules, float_width: int = 32) -> tuple[Scratch, t
         starts=np.zeros((STARTS, parameters)),
         colour=np.ones(3),
         moment=np.zeros(9),
+        moments=np.zeros(MOMENTS),
         report=np.zeros(REPORT),
     )
     rules = tuple(

@@ -36,7 +36,9 @@ WORK = 200
 @inline
 def search_columns(theta, free, columns):
     """Fill ``columns`` (6, 6) with the search directions at theta; returns how many there are."""
-    columns[:, :] = 0.0
+    for i in range(PARAMETERS):
+        for k in range(PARAMETERS):
+            columns[i, k] = 0.0
     l1, l2, cos, sin = eigen_log(theta[2], theta[3], theta[4])
     k = 0
     if free & FREE_NORMAL:
@@ -73,9 +75,9 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
     inverse = work[84:120].reshape(PARAMETERS, PARAMETERS)
     scratch = work[120:168]
     size = search_columns(theta, free, columns)
-    inverse[:, :] = 0.0
     for i in range(size):
-        inverse[i, i] = 1.0
+        for k in range(size):
+            inverse[i, k] = 1.0 if i == k else 0.0
         z_gradient[i] = 0.0
         for p in range(PARAMETERS):
             z_gradient[i] += columns[p, i] * gradient[p]

@@ -27,8 +27,8 @@ from brdffit.fitting.effects import Seen, complete, kernels_of, reached, seen_by
 from brdffit.fitting.losses import LOSS_CODES
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.refine import refine_pyramid
-from brdffit.fitting.status import FALLBACK, KEPT, NOT_REACHED
-from brdffit.fitting.texel import Search
+from brdffit.fitting.status import CLOSED_FORM, FALLBACK, KEPT, NOT_REACHED
+from brdffit.fitting.texel import Search, spared
 from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter, iter_pyramid
 from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, strata
 from brdffit.halfangle.density import DENSITY_EXPONENTS
@@ -39,13 +39,15 @@ from brdffit.models import Model, get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 # A piece of work should take a fraction of a second, so that an interrupt is heard and the bar moves.
-_TEXELS_PER_PIECE = 4096
+_TEXELS_PER_PIECE = 16384
 _LEAST_PIECES = 32
 # Footprints of this many texels an axis take many samples, beside which nodes are cheap: they get more of them.
 _WIDE, _WIDE_NODES = 4, 2
 # Texels that tell a level's mean error, and texels of a level worth it.
 _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
 _LAXEST = 1e-2
+# Share of a level's fitted texels that few nodes must do for.
+_ENOUGH = 0.3
 
 
 class NonlinearFit:
@@ -140,7 +142,8 @@ def level_rules(
     pixels = max(1.0, 2.0 * pixel_filter.radius)
     # An even number a texel: strata then end at texel centres, where the bilinear patches do.
     per_texel = 2 * max(1, math.ceil(0.5 * quality.least / scale))
-    chosen = strata(pixel_filter, base_size, size, per_texel, math.ceil(quality.most * pixels), mip_level)
+    most = math.ceil(quality.most * pixels)
+    chosen = strata(pixel_filter, base_size, size, per_texel, most, mip_level, quality.merge)
     return LevelRules(chosen, max(quality.room, 2 * chosen.samples), points)
 
 
@@ -169,9 +172,11 @@ def search_settings(options: BakeOptions, quality: Quality, base: Base, source: 
         same_model=source.name == target.name,
         trusted=quality.trusted,
         negligible=quality.negligible,
-        crowd=4,
+        crowd=2,
         floor=0.0,
         loss=LOSS_CODES[one_of("loss", options.loss, LOSSES)],
+        usual=0 if options.tolerance is None else 1,
+        few=False,
     )
 
 
@@ -196,7 +201,13 @@ def tolerant(
     columns, rows = random_texels(size, _PILOT_TEXELS, seed=mip_level)
     pilot = make_output(len(columns))
     fit_texels(base, rules, columns, rows, search, pilot, kernels)
-    return search._replace(floor=share * float(pilot.residual.mean()))
+    residual = pilot.residual.copy()
+    search = search._replace(floor=share * float(residual.mean()))
+    # Few nodes first only where they do for enough of the texels that are fitted: the others are fitted twice.
+    fit_texels(base, rules, columns, rows, search, pilot, kernels)
+    fitted = residual[pilot.status != CLOSED_FORM]
+    served = np.count_nonzero(fitted <= spared(search.floor, rules.points[0].shape[1]))
+    return search._replace(few=bool(served > _ENOUGH * len(fitted)))
 
 
 def _fit_level(

@@ -19,6 +19,7 @@ class Quality:
         most: samples along a pixel, at most; beyond, samples are random points of wider strata.
         room: samples of a footprint in all, where steep normals have strata cut up.
         step: lobe widths that the normal may turn from one sample to the next.
+        merge: lobe widths that it may turn between four texels for one sample to stand for all that lies there.
         nodes: of the half-angle integral, from few to many, on levels 0 and 1; twice as many beyond.
         trusted: disagreement of two half rules, as a share of the residual, above which a texel gets more nodes.
         negligible: disagreement (relative squared error) that never does.
@@ -31,6 +32,7 @@ class Quality:
     most: int
     room: int
     step: float
+    merge: float
     nodes: tuple[int, int, int]
     trusted: float
     negligible: float
@@ -40,9 +42,9 @@ class Quality:
 
 
 _PRESETS = {
-    "draft": Quality(4, 32, 128, 2.0, (64, 128, 256), 0.3, 1e-3, 1, 1e-2, 20),
-    "standard": Quality(4, 128, 512, 1.5, (160, 320, 640), 0.2, 1e-4, 1, 2e-3, 40),
-    "fine": Quality(8, 256, 4096, 0.5, (384, 1024, 2048), 0.08, 1e-5, 5, 5e-4, 80),
+    "draft": Quality(4, 32, 128, 2.0, 1.0, (64, 128, 256), 0.3, 1e-3, 1, 1e-2, 20),
+    "standard": Quality(4, 128, 512, 1.75, 1.0, (160, 320, 640), 0.2, 1e-4, 1, 2e-3, 40),
+    "fine": Quality(8, 256, 4096, 0.5, 0.25, (384, 1024, 2048), 0.08, 1e-5, 5, 5e-4, 80),
 }
 
 
@@ -76,4 +78,4 @@ def quality_of(options: BakeOptions) -> Quality:
         raise InputError(f"The tolerance is {options.tolerance} dB; it must be above 0.")
     sampling = get_quality(next(name for least, name in _SAMPLING if options.tolerance >= least))
     nodes = 32 * round(min(max(_NODES_TIMES_DB / options.tolerance, _FEWEST), _MOST) / 32)
-    return dataclasses.replace(sampling, nodes=(max(_FEWEST, nodes // 80 * 32), nodes, 4 * nodes))
+    return dataclasses.replace(sampling, nodes=(max(_FEWEST, nodes // 80 * 32), nodes, 2 * nodes))

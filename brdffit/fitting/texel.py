@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from brdffit._jit import inline, kernel
+from brdffit._jit import inline, kernel, part
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, minimise
 from brdffit.fitting.losses import L1, RELATIVE, ROUNDS, weigh_absolutely, weigh_relatively
 from brdffit.fitting.scoring import (
@@ -46,7 +46,9 @@ from brdffit.halfangle.closed_forms import (
     PEAK,
     STARTS,
     STEEPEST_SLOPE,
-    closed_forms,
+    first_start,
+    footprint_moments,
+    further_starts,
     widen_lobes,
 )
 from brdffit.halfangle.frame import eigen_log
@@ -79,6 +81,8 @@ _NARROW_SPREAD = 0.01
 _FITTED_SHARE = 0.15
 # A lobe is hidden from nodes that miss (or overrate) what they should see of it by this share.
 _HIDDEN, _LOST = 0.3, 0.6
+# Samples are many for a footprint that has so many strata more than it has.
+_FEW_STRATA = 16
 #: How often a lobe that was found where no nodes stand may ask for nodes of its own.
 GUARDS = 3
 # Relative squared error (8 dB) at which a search is not believed to have found the best lobe.
@@ -95,8 +99,9 @@ class Search(NamedTuple):
     still promise; ``starts``: how many are followed to the end; bounds of the log eigenvalues and of the shape;
     ``same_model``: base and pyramid share a lobe model; ``trusted``: largest disagreement of two half rules, as a share
     of the residual, that is not refined; ``negligible``: disagreement (relative squared error) that never is;
-    ``crowd``: samples a stratum, in the mean, above which the first rule is passed over; ``floor``: relative squared
-    error that each of a texel's shortcuts may cost; ``loss``: L2, RELATIVE or L1.
+    ``crowd``: samples a stratum, in the mean, above which the first rule is passed over (16 strata count for twice as
+    many); ``floor``: relative squared error that each of a texel's shortcuts may cost; ``loss``: L2, RELATIVE or L1;
+    ``usual``: the rule that a texel starts with; ``few``: whether one with little error may start with the first.
     """
 
     free: int
@@ -116,6 +121,8 @@ class Search(NamedTuple):
     crowd: int
     floor: float
     loss: int
+    usual: int
+    few: bool
 
 
 class Scratch(NamedTuple):
@@ -130,6 +137,7 @@ class Scratch(NamedTuple):
     starts: np.ndarray
     colour: np.ndarray
     moment: np.ndarray
+    moments: np.ndarray
     report: np.ndarray
 
 
@@ -139,6 +147,12 @@ class Rule(NamedTuple):
     points: np.ndarray
     nodes: np.ndarray
     values: np.ndarray
+
+
+@inline
+def spared(floor, nodes):
+    """Error up to which so few nodes will do: five parameters fitted to N of them follow their noise, about 5 e / N."""
+    return floor * nodes / 5.0
 
 
 @inline
@@ -154,7 +168,7 @@ def clamp_to_domain(theta, search):
     theta[5] = min(max(theta[5], search.shape_low), search.shape_high)
 
 
-@kernel
+@part
 def fit_texel(
     base, strata, column, row, search, scratch, rules,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
@@ -171,8 +185,14 @@ def fit_texel(
     )
     red, green, blue, some = normalise_mixture(lobes, count)
     isotropic = search.free & FREE_ANISOTROPY == 0
-    flat = closed_forms(lobes, count, base.isotropic, scratch.starts, isotropic)
-    report[:] = 0.0
+    lobes_isotropic = base.isotropic
+    if spread > _NARROW_SPREAD:
+        widen_lobes(lobes, count, lobes_isotropic)
+        lobes_isotropic = False
+    flat = footprint_moments(lobes, count, lobes_isotropic, scratch.moments)
+    first_start(scratch.moments, isotropic, scratch.starts)
+    for k in range(report.size):
+        report[k] = 0.0
     colour = scratch.colour
     colour[0], colour[1], colour[2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
     for k in range(3):
@@ -184,38 +204,37 @@ def fit_texel(
         scratch.best[p] = theta[p]
     if flat and search.same_model:
         return FLAT if some else NO_SPECULAR
-    lobes_isotropic = base.isotropic
-    if spread > _NARROW_SPREAD:
-        widen_lobes(lobes, count, lobes_isotropic)
-        lobes_isotropic = False
-        closed_forms(lobes, count, lobes_isotropic, scratch.starts, isotropic)
-    # Five parameters fitted to N nodes follow their noise: they lose about 5 e / N.
-    expected, spare = 0.0, search.floor * rules[0].points.shape[1] / 5.0
+    expected, spare = 0.0, spared(search.floor, rules[0].points.shape[1])
     if search.floor > 0.0:
         expected = closed_form_error(lobes, count, lobes_isotropic, isotropic)
     clamp_to_domain(scratch.starts[LEAN], search)
     start = scratch.starts[LEAN]
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
-    tier = 0 if count <= search.crowd * strata.x.size * strata.y.size else 1
+    crowded = count > search.crowd * (_FEW_STRATA + strata.x.size * strata.y.size)
+    tier = search.usual + 1 if crowded else search.usual
     # What a tolerance allows: the closed form, or few nodes, where they cost less than it.
     if search.floor > 0.0 and some and search.same_model:
         if expected <= search.floor:
             return CLOSED_FORM
-        if _FITTED_SHARE * expected > spare:
-            tier = 1
+        if search.few and not crowded and _FITTED_SHARE * expected <= spare:
+            tier = 0
     guards = 0
     while True:
         status = fit_by_rule(
-            base, lobes, count, lobes_isotropic, some, scratch, rules[tier], search, min(tier, 1),
+            base, lobes, count, lobes_isotropic, some, scratch, rules[tier], search, 1 if tier > search.usual else 0,
             tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
         )  # fmt: skip
         hidden = abs(report[COVERAGE] - 1.0) > _HIDDEN
         doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + max(search.negligible, search.floor)
-        doubtful = doubtful or (tier == 0 and search.floor > 0.0 and report[RESIDUAL] > spare)
+        if tier < search.usual and report[RESIDUAL] > spare and not doubtful and not hidden:
+            # Only more nodes than a tolerance spared: the search goes on from where it ended.
+            doubtful = True
+            for p in range(PARAMETERS):
+                scratch.starts[LEAN, p] = theta[p]
         if hidden and guards < GUARDS:
             if lobes_isotropic:
-                widen_lobes(lobes, count, True)
+                widen_lobes(lobes, count, lobes_isotropic)
                 lobes_isotropic = False
             add_guard(lobes, count, theta)
             count += 1
@@ -223,7 +242,7 @@ def fit_texel(
         elif not doubtful or tier == len(rules) - 1:
             break
         tier = min(tier + 1, len(rules) - 1)
-    if status == CONVERGED and tier > 0:
+    if status == CONVERGED and tier > search.usual:
         status = REFINED
     if abs(report[COVERAGE] - 1.0) > _LOST:
         # Still out of sight of its nodes: nothing that they say of it counts.
@@ -239,7 +258,7 @@ def fit_texel(
     return status
 
 
-@kernel
+@part
 def fall_back(scratch, rule, search, values_kernel, log_normalisation):
     """The closed-form start with the filtered colour, and its residual on the nodes of a rule."""
     theta, setting, report = scratch.theta, scratch.setting, scratch.report
@@ -253,7 +272,7 @@ def fall_back(scratch, rule, search, values_kernel, log_normalisation):
     )
 
 
-@kernel
+@part
 def fit_by_rule(
     base, lobes, count, lobes_isotropic, some, scratch, rule, search, more_starts,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
@@ -298,7 +317,7 @@ def go_on(scratch, rule, search, moments_kernel, values_kernel, log_normalisatio
     )
 
 
-@kernel
+@part
 def fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, log_normalisation):
     """Fit the lobe to a full table; ``scratch.colour`` holds the filtered colour. Returns a status."""
     theta, work, setting, report, colour = scratch.theta, scratch.work, scratch.setting, scratch.report, scratch.colour
@@ -310,7 +329,7 @@ def fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, l
     setting[HELD] = 1.0 if search.held else 0.0
     setting[LOG_LOW], setting[LOG_HIGH] = search.log_low, search.log_high
     setting[SHAPE_LOW], setting[SHAPE_HIGH] = search.shape_low, search.shape_high
-    aim(nodes, colour, norm, setting)
+    aim(nodes, colour, report[TARGET_NORM], setting)
     status = search_from_starts(scratch, nodes, search, follow, moments_kernel, log_normalisation)
     report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = colour[0], colour[1], colour[2]
     clamp_to_domain(theta, search)
@@ -330,28 +349,35 @@ def fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, l
 
 
 @kernel
+def start_at_peak(nodes, start):
+    """The normal of ``start`` <- the node where the target is highest, unless that lies at the horizon."""
+    red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
+    top, highest = 0, real(0.0)
+    for j in range(nodes.shape[1]):
+        height = red[j] + green[j] + blue[j]
+        if height > highest and weight[j] > real(0.0):
+            highest = height
+            top = j
+    if nodes[H_Z, top] > 1.0 / STEEPEST_SLOPE:
+        start[0], start[1] = -nodes[H_X, top] / nodes[H_Z, top], -nodes[H_Y, top] / nodes[H_Z, top]
+
+
+@part
 def search_from_starts(scratch, nodes, search, follow, moments_kernel, log_normalisation):
     """BFGS from the first ``follow`` starts, and from more while the best end is poor; it is left in scratch.theta.
 
     Returns its status.
     """
     starts, theta, work, setting = scratch.starts, scratch.theta, scratch.work, scratch.setting
-    if search.free & FREE_NORMAL:
-        red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
-        top, highest = 0, real(0.0)
-        for j in range(nodes.shape[1]):
-            height = red[j] + green[j] + blue[j]
-            if height > highest and weight[j] > real(0.0):
-                highest = height
-                top = j
-        if nodes[H_Z, top] > 1.0 / STEEPEST_SLOPE:
-            starts[PEAK, 0] = -nodes[H_X, top] / nodes[H_Z, top]
-            starts[PEAK, 1] = -nodes[H_Y, top] / nodes[H_Z, top]
     best_value, best_status = 1e30, FALLBACK
     for i in range(STARTS):
         # A start too wide for its target sits on a plateau: it "converges" at once, at a large error. Try the next.
         if i >= follow and 1.0 + best_value < _POOR:
             break
+        if i == 1:
+            further_starts(scratch.moments, search.free & FREE_ANISOTROPY == 0, starts)
+            if search.free & FREE_NORMAL:
+                start_at_peak(nodes, starts[PEAK])
         clamp_to_domain(starts[i], search)
         for p in range(PARAMETERS):
             scratch.start[p] = starts[i, p]

@@ -14,10 +14,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit._jit import inline, kernel
+from brdffit._jit import kernel, part
 from brdffit.footprint import PixelFilter
-from brdffit.halfangle.frame import tangent_frame
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOG_TENSOR, MIXTURE, NORMALISATION, SHAPE, SPECULAR, SPREAD
+from brdffit.halfangle.frame import tensor_of_log
+from brdffit.halfangle.patch import (
+    alike,
+    bilinear,
+    corners,
+    edges,
+    hash_of,
+    in_one_patch,
+    narrowest,
+    spread_tensor,
+    unit,
+    weighed,
+    weights_of,
+    wrapped,
+)
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, MIXTURE, NORMALISATION, SHAPE, SPECULAR, SPREAD, TENSOR
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 
@@ -51,7 +65,8 @@ class Strata(NamedTuple):
 
     ``x`` and ``y``: stratum centres relative to the footprint's centre, in base texels; ``weight_x`` and ``weight_y``
     sum to 1; ``jitter_x`` and ``jitter_y``: width of the jitter in base texels (0: none); ``scale_x`` and ``scale_y``:
-    base texels per texel of the level; ``seed`` tells levels apart.
+    base texels per texel of the level; ``seed`` tells levels apart; ``merge``: how many lobe widths the normal may turn
+    across the strata between four texels for one sample to stand for them all (0: never).
     """
 
     x: NDArray
@@ -63,6 +78,7 @@ class Strata(NamedTuple):
     scale_x: float
     scale_y: float
     seed: int
+    merge: float = 0.0
 
     @property
     def samples(self) -> int:
@@ -104,6 +120,7 @@ def strata(
     per_texel: int,
     most: int,
     seed: int,
+    merge: float = 0.0,
 ) -> Strata:
     """Strata of a level's footprints: ``per_texel`` a base texel and axis, at most ``most`` an axis."""
     axes = []
@@ -116,27 +133,7 @@ def strata(
         stratum = width / count
         axes.append((offset, weight / weight.sum(), stratum if stratum > 1.0 else 0.0, scale))
     (y, weight_y, jitter_y, scale_y), (x, weight_x, jitter_x, scale_x) = axes
-    return Strata(x, y, weight_x, weight_y, jitter_x, jitter_y, scale_x, scale_y, seed)
-
-
-@inline
-def _hash(a, b, c, d):
-    """A 32-bit mix of four integers (murmur3's finaliser over a linear combination)."""
-    h = np.uint32(a) * np.uint32(0x9E3779B1) ^ np.uint32(b) * np.uint32(0x85EBCA77)
-    h = h ^ np.uint32(c) * np.uint32(0xC2B2AE3D) ^ np.uint32(d) * np.uint32(0x27D4EB2F)
-    h = np.uint32(h ^ (h >> np.uint32(16))) * np.uint32(0x85EBCA6B)
-    h = np.uint32(h ^ (h >> np.uint32(13))) * np.uint32(0xC2B2AE35)
-    return np.uint32(h ^ (h >> np.uint32(16)))
-
-
-@inline
-def _index(i, size, tile):
-    """Texel index beyond the border: wrapped or clamped."""
-    if 0 <= i < size:
-        return i
-    if tile:
-        return i % size
-    return min(max(i, 0), size - 1)
+    return Strata(x, y, weight_x, weight_y, jitter_x, jitter_y, scale_x, scale_y, seed, merge)
 
 
 @kernel
@@ -156,19 +153,20 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
     return count, spread
 
 
-@kernel
+@part
 def _gather(base, strata, step, column, row, lobes, diffuse_moment):
     """``gather_lobes`` for one step; returns also how many samples it asks for.
 
     SPECULAR columns hold filter weight times colour, MIXTURE the filter weight alone (they sum to 1).
     ``diffuse_moment`` (9,) receives sum_i w_i d_ic n_i as (channel, axis).
 
-    A stratum across which the normal turns by more than ``step`` lobe widths is cut into as many samples an axis as
-    that takes, for point samples would turn a smooth streak of normals into separate needles; never more in all than
-    ``lobes`` has room for (one row is left for the defensive lobe). What a sample's part of the stratum still spreads
-    is noted in SPREAD, and its mean in units of the lobe's width is returned. Inside a stratum the base is one bilinear
-    patch (strata end at texel centres where sizes divide evenly), so edges and slopes of the patch say how far it
-    turns. Strata wider than a texel are sampled at random points: they are not cut, and nothing is left out.
+    Strata between the same four texels share one bilinear patch, and its edges say how far the normal turns. Where it
+    turns by less than ``strata.merge`` lobe widths across all of them, and roughness and colour hardly change, one
+    sample stands for them. Where it turns by more than ``step`` lobe widths across one stratum, that is cut into as
+    many samples an axis as it takes, for point samples would turn a smooth streak of normals into separate needles;
+    never more in all than ``lobes`` has room for (one row is left for the defensive lobe). What a sample's part of the
+    patch still spreads is noted in SPREAD, and its mean in units of the lobe's width is returned. Strata wider than a
+    texel are sampled at random points: they are neither merged nor cut, and nothing is left out.
     """
     height, width = base.normal.shape[0], base.normal.shape[1]
     centre_x = (column + 0.5) * strata.scale_x - 0.5
@@ -176,146 +174,111 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
     size_x = strata.x[1] - strata.x[0] if strata.x.size > 1 else 0.0
     size_y = strata.y[1] - strata.y[0] if strata.y.size > 1 else 0.0
     jittered = strata.jitter_x > 0.0 or strata.jitter_y > 0.0
-    cut = step > 0.0 and not jittered
-    # Normals of a bilinear patch, n00 n10 n01 n11; they stand in the row that the defensive lobe takes later.
-    patch = lobes[lobes.shape[0] - 1]
-    diffuse_moment[:] = 0.0
+    none = (0.0, 0.0, 0.0)
+    for k in range(9):
+        diffuse_moment[k] = 0.0
+    roughness, tensors = (0.0, 0.0, 0.0, 0.0), (none, none, none, none)
     mean_spread = 0.0
     count, wanted = 0, 0
-    left = strata.x.size * strata.y.size
-    for gy in range(strata.y.size):
-        for gx in range(strata.x.size):
-            left -= 1
-            x = centre_x + strata.x[gx]
-            y = centre_y + strata.y[gy]
+    room = lobes.shape[0] - 1 - strata.x.size * strata.y.size
+    first_y = 0
+    while first_y < strata.y.size:
+        many_y = 1 if jittered else in_one_patch(strata.y, centre_y, first_y)
+        first_x = 0
+        while first_x < strata.x.size:
+            many_x = 1 if jittered else in_one_patch(strata.x, centre_x, first_x)
+            x, y = centre_x, centre_y
             if jittered:
-                bits = _hash(strata.seed, row * 65536 + column, gy, gx)
+                bits = hash_of(strata.seed, row * 65536 + column, first_y, first_x)
                 x += strata.jitter_x * ((bits & np.uint32(0xFFFF)) / 65536.0 - 0.5)
                 y += strata.jitter_y * ((bits >> np.uint32(16)) / 65536.0 - 0.5)
-            x0, y0 = math.floor(x), math.floor(y)
-            i0, i1 = _index(int(x0), width, base.tile), _index(int(x0) + 1, width, base.tile)
-            j0, j1 = _index(int(y0), height, base.tile), _index(int(y0) + 1, height, base.tile)
-            for k in range(3):
-                patch[k], patch[3 + k] = base.normal[j0, i0, k], base.normal[j0, i1, k]
-                patch[6 + k], patch[9 + k] = base.normal[j1, i0, k], base.normal[j1, i1, k]
-            cuts_x, cuts_y = 1, 1
-            wanted += 1
+            x0, y0 = math.floor(x + strata.x[first_x]), math.floor(y + strata.y[first_y])
+            i0, i1 = wrapped(int(x0), width, base.tile), wrapped(int(x0) + 1, width, base.tile)
+            j0, j1 = wrapped(int(y0), height, base.tile), wrapped(int(y0) + 1, height, base.tile)
+            normals, colours = corners(base.normal, i0, i1, j0, j1), corners(base.specular, i0, i1, j0, j1)
+            if base.isotropic:
+                roughness = (
+                    np.float64(base.perceptual[j0, i0]), np.float64(base.perceptual[j0, i1]),
+                    np.float64(base.perceptual[j1, i0]), np.float64(base.perceptual[j1, i1]),
+                )  # fmt: skip
+            else:
+                tensors = corners(base.log_roughness, i0, i1, j0, j1)
+            # Strata an axis that are sampled apart, and samples an axis in each.
+            apart_x, apart_y, cuts_x, cuts_y = many_x, many_y, 1, 1
+            inverse = 0.0
             spreads = False
-            if cut:
-                edge_x = size_x * size_x * max(_distance(patch, 0, 3), _distance(patch, 6, 9))
-                edge_y = size_y * size_y * max(_distance(patch, 0, 6), _distance(patch, 3, 9))
-                narrow = _narrowest(base, i0, i1, j0, j1)
-                spreads = edge_x + edge_y > 1e-3 * narrow
-                if edge_x > step * step * narrow or edge_y > step * step * narrow:
-                    cuts_x = min(math.ceil(math.sqrt(edge_x / narrow) / step), _MOST_CUTS)
-                    cuts_y = min(math.ceil(math.sqrt(edge_y / narrow) / step), _MOST_CUTS)
-                    cuts_x, cuts_y = max(cuts_x, 1), max(cuts_y, 1)
-                    wanted += cuts_x * cuts_y - 1
-                    room = lobes.shape[0] - 1 - count - left
-                    while cuts_x * cuts_y > room:
+            if step > 0.0 and not jittered:
+                inverse = 1.0 / narrowest(tensors, roughness, base.isotropic)
+                # Squared turn across a stratum, in lobe widths.
+                turn_x, turn_y = edges(normals)
+                turn_x, turn_y = size_x * size_x * turn_x * inverse, size_y * size_y * turn_y * inverse
+                merge_x = many_x > 1 and many_x * many_x * turn_x < strata.merge * strata.merge
+                merge_y = many_y > 1 and many_y * many_y * turn_y < strata.merge * strata.merge
+                if (merge_x or merge_y) and alike(colours, tensors, roughness, base.isotropic):
+                    apart_x, apart_y = 1 if merge_x else many_x, 1 if merge_y else many_y
+                if turn_x > step * step or turn_y > step * step:
+                    cuts_x = max(min(math.ceil(math.sqrt(turn_x) / step), _MOST_CUTS), 1)
+                    cuts_y = max(min(math.ceil(math.sqrt(turn_y) / step), _MOST_CUTS), 1)
+                    wanted += apart_x * apart_y * (cuts_x * cuts_y - 1)
+                    while cuts_x * cuts_y > 1 and apart_x * apart_y * (cuts_x * cuts_y - 1) > room:
                         if cuts_x > cuts_y:
                             cuts_x = (cuts_x + 1) // 2
                         else:
                             cuts_y = (cuts_y + 1) // 2
-            weight = strata.weight_x[gx] * strata.weight_y[gy] / (cuts_x * cuts_y)
-            part_x, part_y = size_x / cuts_x, size_y / cuts_y
-            for sub_y in range(cuts_y):
-                for sub_x in range(cuts_x):
-                    fx = x - x0 + (sub_x + 0.5 - 0.5 * cuts_x) * part_x
-                    fy = y - y0 + (sub_y + 0.5 - 0.5 * cuts_y) * part_y
-                    w00, w10, w01, w11 = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
-                    n0 = w00 * patch[0] + w10 * patch[3] + w01 * patch[6] + w11 * patch[9]
-                    n1 = w00 * patch[1] + w10 * patch[4] + w01 * patch[7] + w11 * patch[10]
-                    n2 = w00 * patch[2] + w10 * patch[5] + w01 * patch[8] + w11 * patch[11]
-                    length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-                    if length > 1e-6:
-                        n0, n1, n2 = n0 / length, n1 / length, n2 / length
-                    else:
-                        n0, n1, n2, length = 0.0, 0.0, 1.0, 1.0
-                    lobes[count, 0], lobes[count, 1], lobes[count, 2] = n0, n1, n2
+                spreads = (many_x // apart_x) ** 2 * turn_x + (many_y // apart_y) ** 2 * turn_y > 1e-3
+            wanted += apart_x * apart_y
+            room += many_x * many_y - apart_x * apart_y * cuts_x * cuts_y
+            part_x, part_y = size_x * (many_x // apart_x) / cuts_x, size_y * (many_y // apart_y) / cuts_y
+            x += strata.x[first_x] - 0.5 * size_x - x0
+            y += strata.y[first_y] - 0.5 * size_y - y0
+            merged_x = merged_y = 0.0
+            if apart_x < many_x:
+                merged_x, offset = weighed(strata.weight_x, first_x, many_x)
+                x += offset * size_x
+            if apart_y < many_y:
+                merged_y, offset = weighed(strata.weight_y, first_y, many_y)
+                y += offset * size_y
+            share = 1.0 / (cuts_x * cuts_y)
+            for k in range(apart_y * cuts_y):
+                weight_y = share * (merged_y if apart_y < many_y else strata.weight_y[first_y + k // cuts_y])
+                fy = y + (k + 0.5) * part_y
+                for m in range(apart_x * cuts_x):
+                    weight = weight_y * (merged_x if apart_x < many_x else strata.weight_x[first_x + m // cuts_x])
+                    fx = x + (m + 0.5) * part_x
+                    lobe = lobes[count]
+                    w = weights_of(fx, fy)
+                    n, length = unit(bilinear(normals, w))
+                    lobe[0], lobe[1], lobe[2] = n
                     if base.isotropic:
-                        r = w00 * base.perceptual[j0, i0] + w10 * base.perceptual[j0, i1]
-                        r += w01 * base.perceptual[j1, i0] + w11 * base.perceptual[j1, i1]
-                        lobes[count, ALPHA_SQUARED] = (r * r) * (r * r)
+                        r = w[0] * roughness[0] + w[1] * roughness[1] + w[2] * roughness[2] + w[3] * roughness[3]
+                        lobe[ALPHA_SQUARED] = (r * r) * (r * r)
                     else:
-                        for k in range(3):
-                            lobes[count, LOG_TENSOR + k] = _bilinear(
-                                base.log_roughness, i0, i1, j0, j1, k, w00, w10, w01, w11
-                            )
-                    lobes[count, SHAPE] = base.default_shape
+                        a, b, c = bilinear(tensors, w)
+                        lobe[TENSOR], lobe[TENSOR + 1], lobe[TENSOR + 2] = tensor_of_log(a, b, c)
+                    lobe[SHAPE] = base.default_shape
                     if base.has_shape:
-                        s = w00 * base.shape[j0, i0] + w10 * base.shape[j0, i1]
-                        lobes[count, SHAPE] = s + w01 * base.shape[j1, i0] + w11 * base.shape[j1, i1]
-                    for k in range(3):
-                        colour = _bilinear(base.specular, i0, i1, j0, j1, k, w00, w10, w01, w11)
-                        lobes[count, SPECULAR + k] = weight * colour
-                    lobes[count, MIXTURE] = weight
-                    lobes[count, SPREAD], lobes[count, SPREAD + 1], lobes[count, SPREAD + 2] = 0.0, 0.0, 0.0
+                        s = w[0] * base.shape[j0, i0] + w[1] * base.shape[j0, i1]
+                        lobe[SHAPE] = s + w[2] * base.shape[j1, i0] + w[3] * base.shape[j1, i1]
+                    colour = bilinear(colours, w)
+                    lobe[SPECULAR], lobe[SPECULAR + 1] = weight * colour[0], weight * colour[1]
+                    lobe[SPECULAR + 2] = weight * colour[2]
+                    lobe[MIXTURE] = weight
+                    lobe[SPREAD], lobe[SPREAD + 1], lobe[SPREAD + 2] = none
                     if spreads:
-                        trace = _spread(lobes, count, patch, fx, fy, part_x / length, part_y / length)
-                        mean_spread += weight * min(trace / narrow, 1.0)
+                        xx, yy, xy = spread_tensor(n, normals, fx, fy, part_x / length, part_y / length)
+                        lobe[SPREAD], lobe[SPREAD + 1], lobe[SPREAD + 2] = xx, yy, xy
+                        mean_spread += weight * min((xx + yy) * inverse, 1.0)
                     if base.has_diffuse:
-                        for k in range(3):
-                            d = weight * _bilinear(base.diffuse, i0, i1, j0, j1, k, w00, w10, w01, w11)
-                            diffuse_moment[3 * k] += d * n0
-                            diffuse_moment[3 * k + 1] += d * n1
-                            diffuse_moment[3 * k + 2] += d * n2
+                        d = bilinear(corners(base.diffuse, i0, i1, j0, j1), w)
+                        for axis in range(3):
+                            part = weight * lobe[axis]
+                            diffuse_moment[axis] += part * d[0]
+                            diffuse_moment[3 + axis] += part * d[1]
+                            diffuse_moment[6 + axis] += part * d[2]
                     count += 1
+            first_x += many_x
+        first_y += many_y
     return count, mean_spread, wanted
-
-
-@inline
-def _distance(patch, a, b):
-    """Squared distance of two texels' normals, from entries a and b of the patch on."""
-    d_x, d_y, d_z = patch[a] - patch[b], patch[a + 1] - patch[b + 1], patch[a + 2] - patch[b + 2]
-    return d_x * d_x + d_y * d_y + d_z * d_z
-
-
-@inline
-def _narrowest(base, i0, i1, j0, j1):
-    """Smallest alpha^2 of the four texels of a bilinear patch."""
-    if base.isotropic:
-        r = min(
-            min(base.perceptual[j0, i0], base.perceptual[j0, i1]), min(base.perceptual[j1, i0], base.perceptual[j1, i1])
-        )
-        return (r * r) * (r * r)
-    least = 1e30
-    for k in range(4):
-        j, i = (j0 if k < 2 else j1), (i0 if k % 2 == 0 else i1)
-        a, b, c = base.log_roughness[j, i, 0], base.log_roughness[j, i, 1], base.log_roughness[j, i, 2]
-        least = min(least, min(a, b) - abs(c))
-    return math.exp(least)
-
-
-@inline
-def _spread(lobes, i, patch, fx, fy, size_x, size_y):
-    """Note in SPREAD what the spread of normals across the sample's part adds to its tensor; returns the trace.
-
-    Across a part of a smooth normal field the slopes are spread evenly over a parallelogram with edges g_x and g_y, so
-    their covariance is (g_x g_x' + g_y g_y') / 12 and, to second order, the tensor grows by twice that: the rule of
-    LEAN (Olano and Baker 2010), within one part of one stratum.
-    """
-    t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(lobes[i, 0], lobes[i, 1], lobes[i, 2])
-    xx, yy, xy = 0.0, 0.0, 0.0
-    for axis in range(2):
-        f = fy if axis == 0 else fx
-        size = size_x if axis == 0 else size_y
-        near, far = (3, 6) if axis == 0 else (6, 3)
-        d_x = size * ((1.0 - f) * (patch[near] - patch[0]) + f * (patch[9] - patch[far]))
-        d_y = size * ((1.0 - f) * (patch[near + 1] - patch[1]) + f * (patch[10] - patch[far + 1]))
-        d_z = size * ((1.0 - f) * (patch[near + 2] - patch[2]) + f * (patch[11] - patch[far + 2]))
-        u, v = t_x * d_x + t_y * d_y + t_z * d_z, b_x * d_x + b_y * d_y + b_z * d_z
-        xx += u * u / 6.0
-        yy += v * v / 6.0
-        xy += u * v / 6.0
-    lobes[i, SPREAD], lobes[i, SPREAD + 1], lobes[i, SPREAD + 2] = xx, yy, xy
-    return xx + yy
-
-
-@inline
-def _bilinear(image, i0, i1, j0, j1, k, w00, w10, w01, w11):
-    """One channel between four texels, in double precision."""
-    return w00 * image[j0, i0, k] + w10 * image[j0, i1, k] + w01 * image[j1, i0, k] + w11 * image[j1, i1, k]
 
 
 @kernel
@@ -349,10 +312,11 @@ def add_defensive_lobe(lobes, count, share, m_x, m_y, a, b, c):
     """Write a lobe without colour into ``lobes[count]`` and give it ``share`` of the mixture."""
     for i in range(count):
         lobes[i, MIXTURE] *= 1.0 - share
-    lobes[count, :] = 0.0
+    for k in range(lobes.shape[1]):
+        lobes[count, k] = 0.0
     inverse = 1.0 / math.sqrt(1.0 + m_x * m_x + m_y * m_y)
     lobes[count, 0], lobes[count, 1], lobes[count, 2] = -m_x * inverse, -m_y * inverse, inverse
-    lobes[count, LOG_TENSOR], lobes[count, LOG_TENSOR + 1], lobes[count, LOG_TENSOR + 2] = a, b, c
+    lobes[count, TENSOR], lobes[count, TENSOR + 1], lobes[count, TENSOR + 2] = tensor_of_log(a, b, c)
     lobes[count, MIXTURE] = share
 
 
@@ -362,12 +326,12 @@ def add_guard(lobes, count, theta):
 
     The tensors of ``lobes`` must be full ones. It takes the share of the defensive lobe, of all the others alike.
     """
-    lobes[count + 1, :] = lobes[count]
-    lobes[count, :] = 0.0
+    for k in range(lobes.shape[1]):
+        lobes[count + 1, k], lobes[count, k] = lobes[count, k], 0.0
     inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
     lobes[count, 0], lobes[count, 1], lobes[count, 2] = -theta[0] * inverse, -theta[1] * inverse, inverse
-    for k in range(3):
-        lobes[count, LOG_TENSOR + k] = theta[2 + k]
+    xx, yy, xy = tensor_of_log(theta[2], theta[3], theta[4])
+    lobes[count, TENSOR], lobes[count, TENSOR + 1], lobes[count, TENSOR + 2] = xx, yy, xy
     lobes[count, SHAPE] = lobes[0, SHAPE]
     for i in range(count + 2):
         lobes[i, MIXTURE] *= 1.0 - _GUARD_SHARE

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from brdffit._jit import inline, kernel
 from brdffit.halfangle.frame import eigen_log, tangent_frame
 from brdffit.halfangle.objective import PARAMETERS
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOG_TENSOR, MIXTURE, SHAPE, SPREAD
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, MIXTURE, SHAPE, SPREAD, TENSOR
 
 # A footprint whose normals differ by less than this share of the lobe's width is flat: e is below 1e-6 (60 dB).
 _FLAT_SHARE = 1e-3
@@ -17,6 +19,11 @@ LEAN, PEAK, VMF, NARROWER = range(4)
 _NARROWER_SHARES = (0.4, 0.12)
 STARTS = NARROWER + len(_NARROWER_SHARES)
 STEEPEST_SLOPE = 20.0
+
+# Moments of a footprint: slopes of the mean normal; mean tensor; covariance of slopes in the frame of the mean normal;
+# mean shape; what shrinks the mean tensor to the sharp lobes; vMF's spread.
+M_X, M_Y, XX, YY, XY, UU, VV, UV, SHAPES, SHRINK, VMF_SPREAD = range(11)
+MOMENTS = 11
 
 #: Share of the quadrature nodes that the closed-form lobe draws.
 DEFENSIVE_SHARE = 0.25
@@ -28,17 +35,26 @@ def tensor_of(lobes, i, isotropic):
     if isotropic:
         alpha_squared = lobes[i, ALPHA_SQUARED]
         return alpha_squared, alpha_squared, 0.0, alpha_squared
-    l1, l2, cos, sin = eigen_log(lobes[i, LOG_TENSOR], lobes[i, LOG_TENSOR + 1], lobes[i, LOG_TENSOR + 2])
-    e1, e2 = math.exp(l1), math.exp(l2)
-    return e1 * cos * cos + e2 * sin * sin, e1 * sin * sin + e2 * cos * cos, (e1 - e2) * cos * sin, e2
+    xx, yy, xy = lobes[i, TENSOR], lobes[i, TENSOR + 1], lobes[i, TENSOR + 2]
+    half = 0.5 * (xx - yy)
+    # det / larger eigenvalue: the smaller one would cancel.
+    largest = 0.5 * (xx + yy) + math.sqrt(half * half + xy * xy)
+    return xx, yy, xy, max(xx * yy - xy * xy, 1e-24) / largest
+
+
+@inline
+def log_of_tensor(xx, yy, xy):
+    """Matrix logarithm (a, b, c) of a tensor."""
+    l1, l2, cos, sin = eigen_log(xx, yy, xy)
+    l1, l2 = math.log(max(l1, 1e-12)), math.log(max(l2, 1e-12))
+    return l1 * cos * cos + l2 * sin * sin, l1 * sin * sin + l2 * cos * cos, (l1 - l2) * cos * sin
 
 
 @kernel
-def closed_forms(lobes, count, isotropic_base, starts, isotropic):
-    """Closed-form starts, weighted by reflected energy; returns whether the footprint is flat.
+def footprint_moments(lobes, count, isotropic_base, moments):
+    """Fill ``moments`` (MOMENTS,), weighted by reflected energy; returns whether the footprint is flat.
 
     LEAN's moments are taken in the frame of the mean normal, where slopes do not explode even if the mean is steep.
-    Rows of ``starts`` (STARTS, 6) as named above; PEAK's normal is set later, when the target is known.
     """
     x, y, z = 0.0, 0.0, 0.0
     xx, yy, xy = 0.0, 0.0, 0.0
@@ -87,34 +103,54 @@ def closed_forms(lobes, count, isotropic_base, starts, isotropic):
     m_x, m_y = -n_x / n_z, -n_y / n_z
     # L2 follows the sharp lobes: narrower starts shrink the mean tensor to the harmonic mean of the smallest axes.
     shrink = min(1.0, 2.0 / (sharp * (xx + yy)))
-    for row in range(STARTS):
-        starts[row, 0], starts[row, 1], starts[row, 5] = m_x, m_y, shape
-    set_log_tensor(starts, LEAN, 2, xx + 2.0 * uu, yy + 2.0 * vv, xy + 2.0 * uv, isotropic)
+    moments[M_X], moments[M_Y], moments[SHAPES] = m_x, m_y, shape
+    moments[XX], moments[YY], moments[XY] = xx, yy, xy
+    moments[UU], moments[VV], moments[UV] = uu, vv, uv
+    moments[SHRINK] = shrink
     kappa = length * (3.0 - length * length) / max(1.0 - length * length, 1e-9)
-    spread = 2.0 / max(kappa, 1e-3)
-    set_log_tensor(starts, VMF, 2, xx + spread, yy + spread, xy, isotropic)
-    for k in range(len(_NARROWER_SHARES)):
-        share = 2.0 * _NARROWER_SHARES[k]
-        set_log_tensor(
-            starts, NARROWER + k, 2, shrink * xx + share * uu, shrink * yy + share * vv, shrink * xy + share * uv,
-            isotropic,
-        )  # fmt: skip
-    for p in range(2, PARAMETERS):
-        starts[PEAK, p] = starts[STARTS - 1, p]
+    moments[VMF_SPREAD] = 2.0 / max(kappa, 1e-3)
     alike = widest < (1.0 + _FLAT_SHARE) * 2.0 * narrowest and farthest < _FLAT_SHARE * _FLAT_SHARE * narrowest
     return isotropic_base and alike and most_shape - least_shape < _FLAT_SHARE
 
 
 @inline
-def set_log_tensor(table, row, column, xx, yy, xy, isotropic):
-    """Write the matrix logarithm of a tensor into table[row, column:column+3]; isotropic keeps the determinant."""
-    l1, l2, cos, sin = eigen_log(xx, yy, xy)
-    l1, l2 = math.log(max(l1, 1e-12)), math.log(max(l2, 1e-12))
+def start_of(moments, tensors, slopes, spread, isotropic, start):
+    """A start (6,): the mean normal, and shares of the mean tensor and of the slopes' covariance, and a spread."""
+    a, b, c = log_of_tensor(
+        tensors * moments[XX] + slopes * moments[UU] + spread, tensors * moments[YY] + slopes * moments[VV] + spread,
+        tensors * moments[XY] + slopes * moments[UV],
+    )  # fmt: skip
     if isotropic:
-        l1 = l2 = 0.5 * (l1 + l2)
-    table[row, column] = l1 * cos * cos + l2 * sin * sin
-    table[row, column + 1] = l1 * sin * sin + l2 * cos * cos
-    table[row, column + 2] = (l1 - l2) * cos * sin
+        # The determinant is kept.
+        a = b = 0.5 * (a + b)
+        c = 0.0
+    start[0], start[1], start[2], start[3], start[4], start[5] = moments[M_X], moments[M_Y], a, b, c, moments[SHAPES]
+
+
+@inline
+def first_start(moments, isotropic, starts):
+    """LEAN's row of ``starts``."""
+    start_of(moments, 1.0, 2.0, 0.0, isotropic, starts[LEAN])
+
+
+@inline
+def further_starts(moments, isotropic, starts):
+    """The other rows; PEAK's normal is set later, when the target is known."""
+    start_of(moments, 1.0, 0.0, moments[VMF_SPREAD], isotropic, starts[VMF])
+    for k in range(len(_NARROWER_SHARES)):
+        start_of(moments, moments[SHRINK], 2.0 * _NARROWER_SHARES[k], 0.0, isotropic, starts[NARROWER + k])
+    for p in range(PARAMETERS):
+        starts[PEAK, p] = starts[STARTS - 1, p]
+
+
+@kernel
+def closed_forms(lobes, count, isotropic_base, starts, isotropic):
+    """All starts into ``starts`` (STARTS, 6), rows as named above; returns whether the footprint is flat."""
+    moments = np.empty(MOMENTS)
+    flat = footprint_moments(lobes, count, isotropic_base, moments)
+    first_start(moments, isotropic, starts)
+    further_starts(moments, isotropic, starts)
+    return flat
 
 
 @kernel
@@ -122,5 +158,6 @@ def widen_lobes(lobes, count, isotropic):
     """Add to each lobe the SPREAD of its own part of the footprint; tensors become full ones, no longer isotropic."""
     for i in range(count):
         xx, yy, xy, _ = tensor_of(lobes, i, isotropic)
-        xx, yy, xy = xx + lobes[i, SPREAD], yy + lobes[i, SPREAD + 1], xy + lobes[i, SPREAD + 2]
-        set_log_tensor(lobes, i, LOG_TENSOR, xx, yy, xy, False)
+        lobes[i, TENSOR] = xx + lobes[i, SPREAD]
+        lobes[i, TENSOR + 1] = yy + lobes[i, SPREAD + 1]
+        lobes[i, TENSOR + 2] = xy + lobes[i, SPREAD + 2]

@@ -58,3 +58,27 @@ def lobe_frame(n_x, n_y, n_z, a, b, c, frame):
     frame[7] = n_y
     frame[8] = n_z
     return l1, l2, cos, sin
+
+
+@inline
+def tensor_of_log(a, b, c):
+    """Roughness tensor (xx, yy, xy) of its matrix logarithm."""
+    l1, l2, cos, sin = eigen_log(a, b, c)
+    e1, e2 = math.exp(l1), math.exp(l2)
+    return e1 * cos * cos + e2 * sin * sin, e1 * sin * sin + e2 * cos * cos, (e1 - e2) * cos * sin
+
+
+@inline
+def half_powers(xx, yy, xy):
+    """Sigma^(1/2) and Sigma^(-1/2), each (xx, yy, xy), and sqrt(det Sigma), without an angle.
+
+    By Cayley and Hamilton, Sigma^(1/2) = (Sigma + r I) / sqrt(tr Sigma + 2 r), r = sqrt(det Sigma).
+    """
+    root = math.sqrt(max(xx * yy - xy * xy, 1e-24))
+    scale = 1.0 / math.sqrt(xx + yy + 2.0 * root)
+    inverse = scale / root
+    return (
+        (scale * (xx + root), scale * (yy + root), scale * xy),
+        (inverse * (yy + root), inverse * (xx + root), -inverse * xy),
+        root,
+    )

@@ -149,21 +149,21 @@ def lobe_values_type(floats):  # type: ignore[no-untyped-def]
 
 
 @inline
-def _chain(m, p, amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient):
-    """Gradient of amplitude * sum(...) by theta, amplitude held, from the nine moments m[p:p+9]."""
-    twist = -4.0 * sinh * m[p + 2]
-    along1 = 2.0 * (m[p + 4] / e1 - m[p + 6] * e1)
-    along2 = 2.0 * (m[p + 5] / e2 - m[p + 7] * e2)
+def _chain(m, amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient):
+    """Gradient of amplitude * sum(...) by theta, amplitude held, from the nine moments m (9,)."""
+    twist = -4.0 * sinh * m[2]
+    along1 = 2.0 * (m[4] / e1 - m[6] * e1)
+    along2 = 2.0 * (m[5] / e2 - m[7] * e2)
     for k in range(2):
         w12, w13, w23 = rotation[3 * k], rotation[3 * k + 1], rotation[3 * k + 2]
         g1, g2 = cos * w13 + sin * w23, cos * w23 - sin * w13
         gradient[k] = amplitude * (twist * w12 + along1 * g1 + along2 * g2)
     cs = cos * sin
-    cross = 2.0 * kappa * m[p + 2]
-    gradient[2] = -amplitude * (cos * cos * m[p + 1] - cs * cross + sin * sin * m[p + 3])
-    gradient[3] = -amplitude * (sin * sin * m[p + 1] + cs * cross + cos * cos * m[p + 3])
-    gradient[4] = -amplitude * (2.0 * cs * (m[p + 1] - m[p + 3]) + (cos * cos - sin * sin) * cross)
-    gradient[5] = amplitude * m[p + 8]
+    cross = 2.0 * kappa * m[2]
+    gradient[2] = -amplitude * (cos * cos * m[1] - cs * cross + sin * sin * m[3])
+    gradient[3] = -amplitude * (sin * sin * m[1] + cs * cross + cos * cos * m[3])
+    gradient[4] = -amplitude * (2.0 * cs * (m[1] - m[3]) + (cos * cos - sin * sin) * cross)
+    gradient[5] = amplitude * m[8]
 
 
 @inline
@@ -217,8 +217,8 @@ def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient,
     td = amplitude * sums[0]
     dd = amplitude * amplitude * sums[9]
     work[0], work[1] = td, dd
-    _chain(sums, 0, amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient)
-    _chain(sums, 9, amplitude * amplitude, rotation, e1, e2, cos, sin, kappa, sinh, other)
+    _chain(sums[0:9], amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient)
+    _chain(sums[9:18], amplitude * amplitude, rotation, e1, e2, cos, sin, kappa, sinh, other)
     # The amplitude's own derivative: d log A = -(da + db)/2 + d log K.
     for k in range(2, 4):
         gradient[k] -= 0.5 * td

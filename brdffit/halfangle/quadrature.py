@@ -28,9 +28,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit._jit import inline, kernel, types
+from brdffit._jit import kernel, types
 from brdffit.halfangle.density import half_angle_density
-from brdffit.halfangle.frame import lobe_frame, tangent_frame
+from brdffit.halfangle.frame import half_powers, tangent_frame
 from brdffit.models.ggx import profile  # bound anew for other source models
 from brdffit.models.ggx import profile as ggx_profile
 
@@ -38,10 +38,10 @@ real = np.float32
 #: Whether lobes end at their own horizon; kernels for lobes that never come near it are bound to False.
 HORIZON = True
 
-# Columns of a lobe: normal; log tensor (a, b, c), or alpha^2 alone where the base is isotropic; shape; footprint weight
-# times specular RGB; mixture weight; K(shape) of the model's normalisation; what the spread of normals inside the
-# sample's own stratum adds to the tensor (xx, yy, xy).
-NORMAL, LOG_TENSOR, ALPHA_SQUARED, SHAPE, SPECULAR, MIXTURE, NORMALISATION, SPREAD = 0, 3, 3, 6, 7, 10, 11, 12
+# Columns of a lobe: normal; roughness tensor (xx, yy, xy), or alpha^2 alone where the base is isotropic; shape;
+# footprint weight times specular RGB; mixture weight; K(shape) of the model's normalisation; what the spread of normals
+# inside the sample's own part of the footprint adds to the tensor (xx, yy, xy).
+NORMAL, TENSOR, ALPHA_SQUARED, SHAPE, SPECULAR, MIXTURE, NORMALISATION, SPREAD = 0, 3, 3, 6, 7, 10, 11, 12
 LOBE_COLUMNS = 15
 
 # Rows of a node array; the last keeps the weights where a loss changes them.
@@ -70,38 +70,36 @@ def lattice(nodes: int, shift: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> 
 def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
     """Draw the nodes from the mixture of ``lobes[:count + 1]``; their mixture weights must sum to 1.
 
-    The last of them, ``lobes[count]``, is the defensive one; its tensor is always the full (a, b, c).
+    The last of them, ``lobes[count]``, is the defensive one; its tensor is always the full one.
     Writes rows H_X, H_Y, H_Z of ``nodes`` (NODE_ROWS, N) and w(h) / N into WEIGHT (0 below the horizon); clears the
     table rows. ``frame`` (9,) is scratch.
     """
     size = points.shape[1]
-    choice, along, across = points[0], points[1], points[2]
+    along, across = points[1], points[2]
+    # Where the rule's lobe coordinate (j + shift) / N reaches a share of the mixture.
+    shift = points[0, 0] * size
     h_x, h_y, h_z, weight = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT]
     reached = 0.0
     first = 0
     for i in range(count + 1):
         reached += lobes[i, MIXTURE]
-        if first == size or (choice[first] >= reached and i < count):
+        last = min(math.ceil(reached * size - shift), size) if i < count else size
+        if last <= first:
             continue
+        t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(lobes[i, 0], lobes[i, 1], lobes[i, 2])
         if isotropic and i < count:
-            e1 = e2 = math.sqrt(lobes[i, ALPHA_SQUARED])
-            frame[0], frame[1], frame[2], frame[3], frame[4], frame[5] = tangent_frame(
-                lobes[i, 0], lobes[i, 1], lobes[i, 2]
-            )
+            xx = yy = math.sqrt(lobes[i, ALPHA_SQUARED])
+            xy = 0.0
         else:
-            l1, l2, _, _ = lobe_frame(
-                lobes[i, 0], lobes[i, 1], lobes[i, 2], lobes[i, 3], lobes[i, 4], lobes[i, 5], frame
-            )
-            # Rows of the frame are scaled by exp(-l/2); the slopes' axes want exp(+l/2).
-            e1, e2 = math.exp(l1), math.exp(l2)
-        u_x, u_y, u_z = real(e1 * frame[0]), real(e1 * frame[1]), real(e1 * frame[2])
-        v_x, v_y, v_z = real(e2 * frame[3]), real(e2 * frame[4]), real(e2 * frame[5])
+            (xx, yy, xy), _, _ = half_powers(lobes[i, TENSOR], lobes[i, TENSOR + 1], lobes[i, TENSOR + 2])
+        u_x, u_y, u_z = real(xx * t_x + xy * b_x), real(xx * t_y + xy * b_y), real(xx * t_z + xy * b_z)
+        v_x, v_y, v_z = real(xy * t_x + yy * b_x), real(xy * t_y + yy * b_y), real(xy * t_z + yy * b_z)
         n_x, n_y, n_z = real(lobes[i, 0]), real(lobes[i, 1]), real(lobes[i, 2])
-        while first < size and (choice[first] < reached or i == count):
-            h_x[first] = along[first] * u_x + across[first] * v_x + n_x
-            h_y[first] = along[first] * u_y + across[first] * v_y + n_y
-            h_z[first] = along[first] * u_z + across[first] * v_z + n_z
-            first += 1
+        for j in range(first, last):
+            h_x[j] = along[j] * u_x + across[j] * v_x + n_x
+            h_y[j] = along[j] * u_y + across[j] * v_y + n_y
+            h_z[j] = along[j] * u_z + across[j] * v_z + n_z
+        first = last
     share = real(half_angle_density(1.0, exponent) / size)
     cubic = exponent == 3
     for j in range(size):
@@ -113,13 +111,8 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
         up = max(z, real(0.0))
         weight[j] = share * (up * up * up if cubic else up)
     for row in range(RED, DENSITY + 1):
-        nodes[row, :] = real(0.0)
-
-
-@inline
-def amplitude(l1, l2):
-    """1 / (pi sqrt(det Sigma)) of the eigenvalues of log Sigma."""
-    return math.exp(-0.5 * (l1 + l2)) / math.pi
+        for j in range(size):
+            nodes[row, j] = real(0.0)
 
 
 @kernel
@@ -138,11 +131,13 @@ def tabulate(lobes, count, isotropic, grey, nodes, frame):
             wide = 1.0 / lobes[i, ALPHA_SQUARED]
             scale = wide / math.pi
             inverse = real(wide)
+            u_x = u_y = u_z = v_x = v_y = v_z = inverse
         else:
-            l1, l2, _, _ = lobe_frame(
-                lobes[i, 0], lobes[i, 1], lobes[i, 2], lobes[i, 3], lobes[i, 4], lobes[i, 5], frame
-            )
-            scale = amplitude(l1, l2)
+            t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(lobes[i, 0], lobes[i, 1], lobes[i, 2])
+            _, (xx, yy, xy), root = half_powers(lobes[i, TENSOR], lobes[i, TENSOR + 1], lobes[i, TENSOR + 2])
+            u_x, u_y, u_z = real(xx * t_x + xy * b_x), real(xx * t_y + xy * b_y), real(xx * t_z + xy * b_z)
+            v_x, v_y, v_z = real(xy * t_x + yy * b_x), real(xy * t_y + yy * b_y), real(xy * t_z + yy * b_z)
+            scale = 1.0 / (math.pi * root)
             inverse = real(0.0)
         shape = real(lobes[i, SHAPE])
         k = scale * lobes[i, NORMALISATION]
@@ -176,9 +171,17 @@ def tabulate(lobes, count, isotropic, grey, nodes, frame):
                 green[j] += a_green * g
                 blue[j] += a_blue * g
                 density[j] += a_density * ggx_profile(q, C, shape) * max(cos, real(0.0))
+        elif grey:
+            for j in range(size):
+                u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
+                v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
+                cos = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
+                q = u * u + v * v
+                C = cos * cos
+                g = profile(q, C, shape)
+                red[j] += a_red * g if not HORIZON or cos > real(0.0) else real(0.0)
+                density[j] += a_density * ggx_profile(q, C, shape) * max(cos, real(0.0))
         else:
-            u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
-            v_x, v_y, v_z = real(frame[3]), real(frame[4]), real(frame[5])
             for j in range(size):
                 u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
                 v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
@@ -190,9 +193,9 @@ def tabulate(lobes, count, isotropic, grey, nodes, frame):
                 green[j] += a_green * g
                 blue[j] += a_blue * g
                 density[j] += a_density * ggx_profile(q, C, shape) * max(cos, real(0.0))
-    if isotropic and grey:
-        green[:] = red
-        blue[:] = red
+    if grey:
+        for j in range(size):
+            green[j] = blue[j] = red[j]
 
 
 def tabulate_type(floats):  # type: ignore[no-untyped-def]

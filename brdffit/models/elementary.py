@@ -41,6 +41,18 @@ def float_to_bits(typingctx, value):  # type: ignore[no-untyped-def]
     return types.int32(types.float32), codegen
 
 
+@intrinsic
+def reciprocal(typingctx, x):  # type: ignore[no-untyped-def]
+    """1 / x for finite x. That x is finite is what LLVM must be told before it takes, in a loop over float32, the
+    processor's estimate and one step of Newton (to the last bit or two) instead of a division, which waits."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        one = ir.Constant(args[0].type, 1.0)
+        return builder.fdiv(one, args[0], flags=("arcp", "contract", "ninf", "nsz", "reassoc"))
+
+    return x(x), codegen
+
+
 @inline
 def exp_negative(x):
     """exp(x) for x <= 0; 0 below -32. x = k ln 2 + r, |r| <= ln 2 / 2; Taylor to r^7 (error 4e-9 before rounding).

@@ -9,6 +9,7 @@ import numpy as np
 
 from brdffit._jit import inline
 from brdffit.models import Model
+from brdffit.models.elementary import reciprocal
 
 real = np.float32
 
@@ -16,14 +17,14 @@ real = np.float32
 @inline
 def profile(q, C, s):
     """(q + C)^-2."""
-    r = real(1.0) / (q + C)
+    r = reciprocal(q + C)
     return r * r
 
 
 @inline
 def profile_gradient(q, C, s):
     """(q + C)^-2 and its derivatives, -2 (q + C)^-3 by q and by C alike."""
-    r = real(1.0) / (q + C)
+    r = reciprocal(q + C)
     g = r * r
     slope = real(-2.0) * g * r
     return g, slope, slope, real(0.0)

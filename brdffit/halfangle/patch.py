@@ -1,0 +1,175 @@
+"""One bilinear patch of the base: four texels, what lies between them, and how far it changes from one to the next."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from brdffit._jit import inline
+from brdffit.halfangle.frame import tangent_frame
+
+# Across a patch that is sampled once: factor of perceptual roughness (alpha^2 then spreads by 12% of its mean, 1e-4 of
+# relative squared error), of the colour, and difference of log tensors.
+_ROUGHER, _BRIGHTER, _STRETCHED = 1.1, 1.5, 0.4
+
+
+@inline
+def hash_of(a, b, c, d):
+    """A 32-bit mix of four integers (murmur3's finaliser over a linear combination)."""
+    h = np.uint32(a) * np.uint32(0x9E3779B1) ^ np.uint32(b) * np.uint32(0x85EBCA77)
+    h = h ^ np.uint32(c) * np.uint32(0xC2B2AE3D) ^ np.uint32(d) * np.uint32(0x27D4EB2F)
+    h = np.uint32(h ^ (h >> np.uint32(16))) * np.uint32(0x85EBCA6B)
+    h = np.uint32(h ^ (h >> np.uint32(13))) * np.uint32(0xC2B2AE35)
+    return np.uint32(h ^ (h >> np.uint32(16)))
+
+
+@inline
+def wrapped(i, size, tile):
+    """Texel index beyond the border: wrapped or clamped."""
+    if 0 <= i < size:
+        return i
+    if tile:
+        return i % size
+    return min(max(i, 0), size - 1)
+
+
+@inline
+def texel_of(image, j, i):
+    """Three channels of a texel, in double precision."""
+    return np.float64(image[j, i, 0]), np.float64(image[j, i, 1]), np.float64(image[j, i, 2])
+
+
+@inline
+def corners(image, i0, i1, j0, j1):
+    """The four texels of a patch: (j0, i0), (j0, i1), (j1, i0), (j1, i1)."""
+    return texel_of(image, j0, i0), texel_of(image, j0, i1), texel_of(image, j1, i0), texel_of(image, j1, i1)
+
+
+@inline
+def weights_of(fx, fy):
+    """Weights of the four texels of a patch at a point in it."""
+    return (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+
+
+@inline
+def bilinear(texels, w):
+    """Three channels between the four texels of a patch."""
+    a, b, c, d = texels
+    return (
+        w[0] * a[0] + w[1] * b[0] + w[2] * c[0] + w[3] * d[0],
+        w[0] * a[1] + w[1] * b[1] + w[2] * c[1] + w[3] * d[1],
+        w[0] * a[2] + w[1] * b[2] + w[2] * c[2] + w[3] * d[2],
+    )
+
+
+@inline
+def _distance(a, b):
+    """Squared distance of two texels' normals."""
+    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
+
+
+@inline
+def edges(normals):
+    """Squared change of the normal along a patch, from one texel to the next: (along x, along y)."""
+    a, b, c, d = normals
+    return max(_distance(a, b), _distance(c, d)), max(_distance(a, c), _distance(b, d))
+
+
+@inline
+def _least_log(tensor):
+    """A bound from below of the smaller eigenvalue of a log tensor (a, b, c)."""
+    return min(tensor[0], tensor[1]) - abs(tensor[2])
+
+
+@inline
+def narrowest(tensors, roughness, isotropic):
+    """Smallest alpha^2 of the four texels."""
+    if isotropic:
+        return least(roughness) ** 4
+    a, b, c, d = tensors
+    return math.exp(least((_least_log(a), _least_log(b), _least_log(c), _least_log(d))))
+
+
+@inline
+def least(of):
+    """The least of four."""
+    return min(min(of[0], of[1]), min(of[2], of[3]))
+
+
+@inline
+def most(of):
+    """The largest of four."""
+    return max(max(of[0], of[1]), max(of[2], of[3]))
+
+
+@inline
+def alike(colours, tensors, roughness, isotropic):
+    """Whether colour and roughness of the four texels differ so little that one sample may stand for all."""
+    a, b, c, d = colours
+    sums = (a[0] + a[1] + a[2], b[0] + b[1] + b[2], c[0] + c[1] + c[2], d[0] + d[1] + d[2])
+    if most(sums) > _BRIGHTER * least(sums):
+        return False
+    if isotropic:
+        return most(roughness) <= _ROUGHER * least(roughness)
+    e, f, g, h = tensors
+    x, y, z = (e[0], f[0], g[0], h[0]), (e[1], f[1], g[1], h[1]), (e[2], f[2], g[2], h[2])
+    return max(max(most(x) - least(x), most(y) - least(y)), most(z) - least(z)) <= _STRETCHED
+
+
+@inline
+def in_one_patch(offsets, centre, first):
+    """How many strata from ``first`` on lie between the same two texels."""
+    cell = math.floor(centre + offsets[first])
+    last = first + 1
+    while last < offsets.size and math.floor(centre + offsets[last]) == cell:
+        last += 1
+    return last - first
+
+
+@inline
+def weighed(weights, first, many):
+    """Weight of ``many`` strata from ``first`` on, and how far, in strata, their centroid lies from their middle.
+
+    There one sample stands for them: the mean of what is linear between texels stays exact. (Where weights differ in
+    sign, it stands in the middle.)
+    """
+    total, moment = 0.0, 0.0
+    alike = True
+    for g in range(many):
+        weight = weights[first + g]
+        total += weight
+        moment += weight * (g - 0.5 * (many - 1))
+        alike = alike and weight * weights[first] > 0.0
+    return total, moment / total if alike else 0.0
+
+
+@inline
+def unit(n):
+    """(unit vector, length) of a normal; z where there is none."""
+    length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    if length > 1e-6:
+        inverse = 1.0 / length
+        return (n[0] * inverse, n[1] * inverse, n[2] * inverse), length
+    return (0.0, 0.0, 1.0), 1.0
+
+
+@inline
+def spread_tensor(n, normals, fx, fy, size_x, size_y):
+    """What the spread of normals across a part of a patch (its edges in texels) adds to a lobe's tensor: (xx, yy, xy).
+
+    Across a part of a smooth normal field the slopes are spread evenly over a parallelogram with edges g_x and g_y, so
+    their covariance is (g_x g_x' + g_y g_y') / 12 and, to second order, the tensor grows by twice that: the rule of
+    LEAN (Olano and Baker 2010), within one part of one patch. ``n`` is the unit normal in its middle.
+    """
+    a, b, c, d = normals
+    t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(n[0], n[1], n[2])
+    x_x = size_x * ((1.0 - fy) * (b[0] - a[0]) + fy * (d[0] - c[0]))
+    x_y = size_x * ((1.0 - fy) * (b[1] - a[1]) + fy * (d[1] - c[1]))
+    x_z = size_x * ((1.0 - fy) * (b[2] - a[2]) + fy * (d[2] - c[2]))
+    y_x = size_y * ((1.0 - fx) * (c[0] - a[0]) + fx * (d[0] - b[0]))
+    y_y = size_y * ((1.0 - fx) * (c[1] - a[1]) + fx * (d[1] - b[1]))
+    y_z = size_y * ((1.0 - fx) * (c[2] - a[2]) + fx * (d[2] - b[2]))
+    u_x, v_x = t_x * x_x + t_y * x_y + t_z * x_z, b_x * x_x + b_y * x_y + b_z * x_z
+    u_y, v_y = t_x * y_x + t_y * y_y + t_z * y_z, b_x * y_x + b_y * y_y + b_z * y_z
+    return (u_x * u_x + u_y * u_y) / 6.0, (v_x * v_x + v_y * v_y) / 6.0, (u_x * v_x + u_y * v_y) / 6.0
