@@ -24,6 +24,8 @@ from brdffit.svbrdf import Svbrdf
 Progress = Callable[[int, int, int], None]
 
 QUALITIES = ("draft", "standard", "fine")
+#: Options that a plan decides (``brdffit plan``); Python may set them too, but no flag and no settings file does.
+BY_PLAN = ("reach", "colour", "correlation", "coupling", "horizon")
 LOSSES = ("l2", "relative", "l1")
 COLOURS = ("channels", "shared")
 

@@ -17,7 +17,7 @@ from brdffit.library.bake import open_set
 from brdffit.library.discovery import find_sets
 from brdffit.library.settings import Overrides, read_settings, split_options
 from brdffit.library.task import Found, Task
-from brdffit.methods import BakeOptions
+from brdffit.methods import BY_PLAN, BakeOptions
 from brdffit.textures.image_io import write_png
 
 
@@ -207,7 +207,7 @@ def test_settings_by_patterns(tmp_path):
 
 
 def test_settings_know_every_option_of_a_bake():
-    options = {field.name for field in dataclasses.fields(BakeOptions)} - {"threads"}
+    options = {field.name for field in dataclasses.fields(BakeOptions)} - {"threads", *BY_PLAN}
     assert options <= {field.name for field in msgspec.structs.fields(Overrides)}
 
 

@@ -1,6 +1,7 @@
 """Where a fit of lobes usually breaks: needles, horizons, nothing to fit, extreme tensors, broken numbers."""
 
 import math
+import threading
 
 import numpy as np
 import pytest
@@ -135,14 +136,15 @@ def test_a_bake_of_its_own_compiles_once_for_all_threads(monkeypatch):
     """Threads that met an uncompiled loop once raised "compilation disabled"."""
     from brdffit.fitting import batch
 
-    calls = []
+    threads = []
     batch.fitting_kernel.cache_clear()
+    batch.model_kernels.cache_clear()
     original = batch._compile
-    monkeypatch.setattr(batch, "_compile", lambda *arguments: (calls.append(arguments), original(*arguments)))
-    monkeypatch.setattr("brdffit.fitting.method.NonlinearFit.prepare", lambda *names: calls.append("prepared"))
-    batch.fitting_kernel()
+    monkeypatch.setattr(
+        batch, "_compile", lambda *arguments: (threads.append(threading.current_thread()), original(*arguments))
+    )
     bake(surface(size=(8, 8)), quality="draft", threads=2)
-    assert "prepared" in calls
+    assert threads and set(threads) == {threading.current_thread()}
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
