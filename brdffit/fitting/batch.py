@@ -174,7 +174,7 @@ def _compile(dispatcher: Any, arguments: tuple[Any, ...]) -> None:
 
 
 @cache
-def fitting_kernel(float_width: int = 32) -> Any:
+def fitting_kernel(float_width: int) -> Any:
     """``fit_rows`` for float32 or float64 sums.
 
     Compiled for function-typed arguments: one compilation for all models, and it reaches the disk cache.

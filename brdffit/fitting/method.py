@@ -58,7 +58,7 @@ class NonlinearFit:
 
     def prepare(self, model: str, source_model: str = "ggx", options: BakeOptions | None = None) -> None:
         """Compile (or load from the cache) what a bake needs, so that it is told apart from the fitting time."""
-        fitting_kernel()
+        fitting_kernel(32)
         model_kernels(source_model, model)
         if options is not None:
             kernels_of(options, get_model(source_model), get_model(model))
@@ -75,7 +75,7 @@ class NonlinearFit:
         if not svbrdf.is_finite():
             raise InputError("The SVBRDF holds numbers that are not finite; every texel must be a finite number.")
         # Compiled before the threads start: two at once would both try.
-        fitting_kernel()
+        fitting_kernel(32)
         kernels = kernels_of(options, source, target)
         base = base_of(svbrdf, source.default_shape)
         seen = seen_by(base, options)
