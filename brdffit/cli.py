@@ -6,12 +6,24 @@ Exit codes: 0 done, 1 a bad input or a failed bake, 2 a wrong command line, 130 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
+from brdffit.cli_options import (
+    OUTPUT_HELP,
+    ROUGHNESS_FLOOR,
+    SCENE_HELP,
+    SPECULAR_HELP,
+    choice,
+    known,
+    reading_options,
+    refuse_beside_scene,
+    shard_of,
+    texel_of,
+)
 from brdffit.errors import BrdffitError, UnknownNameError
 
 
@@ -38,101 +50,32 @@ def main() -> None:
     """Bake MIP pyramids of materials that keep their appearance in the distance."""
 
 
-def _known(kind: str) -> Callable[[click.Context, click.Parameter, str | None], str | None]:
-    """A callback that refuses an unknown method, model or preset with the nearest name (exit code 2)."""
-
-    def check(ctx: click.Context, parameter: click.Parameter, name: str | None) -> str | None:
-        from brdffit.methods import method_names, one_of
-        from brdffit.models import model_names
-        from brdffit.textures.presets import preset_names
-
-        own_class = kind == "method" and ":" in (name or "")
-        if name is not None and not own_class:
-            one_of(kind, name, {"method": method_names, "model": model_names, "preset": preset_names}[kind]())
-        return name
-
-    return check
-
-
-def _roles(ctx: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, str] | None:
-    """ROLE=FILE, repeated, as a mapping."""
-    roles: dict[str, str] = {}
-    for pair in pairs:
-        role, equals, file = pair.partition("=")
-        if not (role and equals and file):
-            raise click.BadParameter(f"'{pair}' is not of the form ROLE=FILE, for example normal=bumps.png.")
-        if role in roles:
-            raise click.BadParameter(f"'{role}' is given twice.")
-        roles[role] = file
-    return roles or None
-
-
-def _texel(ctx: click.Context, parameter: click.Parameter, text: str) -> tuple[int, int]:
-    """X,Y as (column, row)."""
-    column, comma, row = text.partition(",")
-    if not (comma and column.strip().isdecimal() and row.strip().isdecimal()):
-        raise click.BadParameter(f"'{text}' is not of the form X,Y, for example 12,7.")
-    return int(column), int(row)
-
-
-def _reading_options(command: Callable) -> Callable:
-    """Options that say how a set is read."""
-    for option in (
-        click.option("--height-scale", type=float, metavar="TEXELS", help="Texels between heights 0 and 1."),
-        click.option("--wrap", type=click.Choice(["tile", "clamp"]), default="tile"),
-        click.option(
-            "--normal-y", type=click.Choice(["gl", "dx"]), help="Of the normal map; else told by names or slopes."
-        ),
-        click.option(
-            "--role",
-            "roles",
-            multiple=True,
-            callback=_roles,
-            metavar="ROLE=FILE",
-            help="What a file is, as roughness=r.png; repeatable.",
-        ),
-    ):
-        command = option(command)
-    return command
-
-
-_roughness_floor: dict[str, Any] = {"type": click.FloatRange(0, 1, min_open=True)}
-_OUTPUT_HELP = "Folder to write into; the set gets one of its own name there."
-_SCENE_HELP = "Instead of SET: every surface of this scene, as its plan says; see `brdffit plan`."
-_SPECULAR_HELP = "Fit the scale of the lobe, or hold the filtered colour; auto: what the preset can store."
-
-
-def _choice(*names: str) -> dict[str, Any]:
-    """An option whose default, shown, is that of BakeOptions or of the preset: it is passed on only if given."""
-    return {"type": click.Choice(names)}
-
-
 @main.command()
 @click.argument("source", metavar="SET", required=False)
-@click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=_SCENE_HELP)
-@click.option("--preset", default="plain", callback=_known("preset"), help="Engine that the pictures are for.")
-@click.option("--quality", **_choice("draft", "standard", "fine"), show_default="standard")
+@click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=SCENE_HELP)
+@click.option("--preset", default="plain", callback=known("preset"), help="Engine that the pictures are for.")
+@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
 @click.option(
     "--tolerance", type=float, metavar="DB", help="Instead of a quality: dB that a level may stay below best."
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out"), help=_OUTPUT_HELP)
-@click.option("--method", default="bfgs", callback=_known("method"), help="See `brdffit methods`; or module:object.")
-@click.option("--model", callback=_known("model"), show_default="ggx", help="See `brdffit models`.")
-@click.option("--pixel-filter", **_choice("box", "gaussian", "mitchell"), show_default="box")
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out"), help=OUTPUT_HELP)
+@click.option("--method", default="bfgs", callback=known("method"), help="See `brdffit methods`; or module:object.")
+@click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
+@click.option("--pixel-filter", **choice("box", "gaussian", "mitchell"), show_default="box")
 @click.option("--levels", type=click.IntRange(min=1), help="How many, level 0 counted; else down to 1x1.")
 @click.option("--keep-level-0", is_flag=True, help="Leave level 0 as authored instead of filtering it too.")
-@click.option("--min-roughness", **_roughness_floor, show_default="0.045", help="Perceptual roughness floor.")
-@click.option("--specular", **_choice("auto", "free", "held"), show_default="auto", help=_SPECULAR_HELP)
-@click.option("--loss", **_choice("l2", "relative", "l1"), show_default="l2", help="l2 follows peaks, l1 tails too.")
+@click.option("--min-roughness", **ROUGHNESS_FLOOR, show_default="0.045", help="Perceptual roughness floor.")
+@click.option("--specular", **choice("auto", "free", "held"), show_default="auto", help=SPECULAR_HELP)
+@click.option("--loss", **choice("l2", "relative", "l1"), show_default="l2", help="l2 follows peaks, l1 tails too.")
 @click.option("--refine", is_flag=True, help="Fit also what a renderer interpolates between texels and levels.")
-@click.option("--lobe", **_choice("auto", "anisotropic", "isotropic"), show_default="auto", help="auto: as the preset.")
-@click.option("--normal", **_choice("free", "mean"), show_default="free", help="Fit the normal, or hold the mean.")
-@click.option("--density", **_choice("cosine", "uniform"), show_default="cosine", help="Of lights and viewers.")
+@click.option("--lobe", **choice("auto", "anisotropic", "isotropic"), show_default="auto", help="auto: as the preset.")
+@click.option("--normal", **choice("free", "mean"), show_default="free", help="Fit the normal, or hold the mean.")
+@click.option("--density", **choice("cosine", "uniform"), show_default="cosine", help="Of lights and viewers.")
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", help="Of the pictures.")
 @click.option("--no-preview", is_flag=True, help="Do not draw preview.png.")
 @click.option("--show", is_flag=True, help="Open preview.png when done; without a screen, draw it in the terminal.")
 @click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
-@_reading_options
+@reading_options
 @click.pass_context
 def bake(
     context: click.Context, source: str | None, scene_file: Path | None, output: Path, bits: str, no_preview: bool,
@@ -150,7 +93,7 @@ def bake(
     if scene_file is not None:
         from brdffit.planning.console import bake_by_plan
 
-        _refuse_beside_scene(context, ("scene_file", "output", "threads", "no_preview", "show"))
+        refuse_beside_scene(context, ("scene_file", "output", "threads", "no_preview", "show"))
         reports = bake_by_plan(scene_file, output, preview=not no_preview, threads=options["threads"])
     elif source is not None:
         given = {name: value for name, value in options.items() if value not in (None, False, "auto")}
@@ -162,24 +105,6 @@ def bake(
         print_report(report)
         if show and not no_preview:
             show_picture(report.folder / "preview.png")
-
-
-def _refuse_beside_scene(context: click.Context, allowed: Sequence[str]) -> None:
-    """Beside --scene only what no plan decides may be given."""
-    for parameter in context.command.params:
-        name = parameter.name or ""
-        if name not in allowed and context.get_parameter_source(name) == click.core.ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"{parameter.opts[0]} cannot be given beside --scene: the plan decides it.")
-
-
-def _shard(ctx: click.Context, parameter: click.Parameter, text: str | None) -> tuple[int, int] | None:
-    """i/n as two numbers."""
-    if text is None:
-        return None
-    part, slash, parts = text.partition("/")
-    if not (slash and part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):
-        raise click.BadParameter(f"'{text}' is not of the form i/n with 1 <= i <= n, for example 3/8.")
-    return int(part), int(parts)
 
 
 #: Options of a bake that stand for every set of a library.
@@ -195,7 +120,7 @@ _SHARED = [
 @click.option("-o", "--output", default="out", metavar="FOLDER", help="Or an address that fsspec knows.")
 @click.option("--settings", type=click.Path(path_type=Path), show_default="ROOT/library.toml", help="By patterns.")
 @click.option("--only", multiple=True, metavar="PATTERN", help="Only sets whose place matches, as metal/*; repeatable.")
-@click.option("--shard", callback=_shard, metavar="I/N", help="Only the I-th of N parts, for array jobs.")
+@click.option("--shard", callback=shard_of, metavar="I/N", help="Only the I-th of N parts, for array jobs.")
 @click.option("--force", is_flag=True, help="Bake also what is up to date.")
 @click.option("--dry-run", is_flag=True, help="Say what would be baked, and why.")
 @click.option("--workers", type=click.IntRange(min=1), show_default="one a core", help="Processes.")
@@ -227,16 +152,16 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
 @click.option("-o", "--output", type=click.Path(path_type=Path), show_default="report", help="Folder of the report.")
 @click.option("--methods", multiple=True, metavar="A,B,...", show_default="all", help="See `brdffit methods`.")
 @click.option("--quick", is_flag=True, help="A look: small pictures, few samples, draft fit.")
-@click.option("--quality", **_choice("draft", "standard", "fine"), show_default="standard")
+@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
 @click.option("--environment", metavar="FILE", show_default="procedural", help="Equirectangular .hdr or .exr picture.")
-@click.option("--model", callback=_known("model"), show_default="ggx", help="See `brdffit models`.")
-@click.option("--pixel-filter", **_choice("box", "gaussian", "mitchell"), show_default="box")
-@click.option("--specular", **_choice("free", "held"), show_default="free", help="Scale of the lobe.")
-@click.option("--lobe", **_choice("anisotropic", "isotropic"), show_default="anisotropic")
+@click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
+@click.option("--pixel-filter", **choice("box", "gaussian", "mitchell"), show_default="box")
+@click.option("--specular", **choice("free", "held"), show_default="free", help="Scale of the lobe.")
+@click.option("--lobe", **choice("anisotropic", "isotropic"), show_default="anisotropic")
 @click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no picture depends on it.")
 @click.option("--from", "records", metavar="FILE", help="Draw the page of this records.json anew; computes nothing.")
-@click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=_SCENE_HELP)
-@_reading_options
+@click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=SCENE_HELP)
+@reading_options
 @click.pass_context
 def compare(
     context: click.Context, sources: tuple[str, ...], output: Path | None, records: str | None,
@@ -255,7 +180,7 @@ def compare(
     elif scene_file:
         from brdffit.planning.console import compare_by_plan
 
-        _refuse_beside_scene(context, ("scene_file", "output", "methods", "quick", "threads"))
+        refuse_beside_scene(context, ("scene_file", "output", "methods", "quick", "threads"))
         page = compare_by_plan(scene_file, output or "report", **given)
     else:
         page = compare_to_folder(sources, output or "report", Ask.of(reading=reading, **given))
@@ -265,10 +190,10 @@ def compare(
 @main.command()
 @click.argument("source", metavar="SET")
 @click.option("--level", type=click.IntRange(min=0), default=3, help="MIP level of the texel.")
-@click.option("--texel", default="0,0", callback=_texel, metavar="X,Y", help="Column and row in that level.")
-@click.option("--model", default="ggx", callback=_known("model"), help="See `brdffit models`.")
+@click.option("--texel", default="0,0", callback=texel_of, metavar="X,Y", help="Column and row in that level.")
+@click.option("--model", default="ggx", callback=known("model"), help="See `brdffit models`.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("landscape.svg"), help=".svg or .png")
-@_reading_options
+@reading_options
 def landscape(source: str, level: int, texel: tuple[int, int], model: str, output: Path, **reading: Any) -> None:
     """Draw the error of one texel over roughness and normal, and the path that the optimiser took."""
     from brdffit.comparison.console import draw_landscape
@@ -278,7 +203,7 @@ def landscape(source: str, level: int, texel: tuple[int, int], model: str, outpu
 
 @main.command()
 @click.argument("source", metavar="SET")
-@_reading_options
+@reading_options
 @click.pass_context
 def inspect(context: click.Context, source: str, **options: Any) -> None:
     """Say what was found in SET, and what looks wrong.
@@ -314,10 +239,10 @@ def tradeoff(sources: tuple[str, ...], output: Path, quick: bool) -> None:
 @click.argument("source", metavar="SET")
 @click.option("--manifest", metavar="FILE", help="Of a bake of SET: its options and statuses instead of a sample's.")
 @click.option("--json", "as_json", is_flag=True, help="Everything that was found, as JSON.")
-@click.option("--quality", **_choice("draft", "standard", "fine"), show_default="standard")
-@click.option("--model", callback=_known("model"), show_default="ggx", help="See `brdffit models`.")
-@click.option("--specular", **_choice("free", "held"), show_default="free", help="Scale of the lobe.")
-@_reading_options
+@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
+@click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
+@click.option("--specular", **choice("free", "held"), show_default="free", help="Scale of the lobe.")
+@reading_options
 def doctor(source: str, manifest: str | None, as_json: bool, **asked: Any) -> None:
     """Say which hard cases SET holds, where, and what a bake does about them."""
     from brdffit.console import BakeDisplay, print_diagnosis

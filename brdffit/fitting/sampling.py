@@ -74,6 +74,12 @@ class LevelSample:
         few._averages = {name: average[:count] for name, average in self._averages.items()}
         return few
 
+    def on_threads(self, threads: int) -> LevelSample:
+        """The same texels, worked on by so many threads."""
+        other = copy.copy(self)
+        other.threads = threads
+        return other
+
     def at(self, mip_level: int, columns: NDArray, rows: NDArray) -> LevelSample:
         """Texels of another level of the same base; what was made of the base is shared."""
         other = copy.copy(self)
@@ -118,22 +124,26 @@ class LevelSample:
             fit_texels(seen.base, rules, self.columns[part], self.rows[part], search, own, kernels, float_width)
 
         self._in_parts(work)
-        complete(output, seen, {name: self._average(name, seen, options.pixel_filter) for name in seen.averaged})
+        complete(output, seen, self.averages(options))
         normal = output.normal.astype(np.float64)
         theta = np.zeros((len(self), 6))
         theta[:, 0:2] = -normal[:, 0:2] / np.maximum(normal[:, 2:3], 1e-3)
         theta[:, 2:5], theta[:, 5] = output.log_roughness, output.shape
         return Lobes(theta, output.specular.astype(np.float64)), output
 
-    def _average(self, name: str, seen: Seen, pixel_filter: str) -> NDArray:
-        """Averages (n, 3) of an image that the fit does not see; made once."""
-        key = name, pixel_filter
-        if key not in self._averages:
-            wrap = "tile" if self.base.tile else "clamp"
-            self._averages[key] = filter_texels(
-                seen.averaged[name], self.size, get_pixel_filter(pixel_filter), wrap, self.columns, self.rows
-            )
-        return self._averages[key]
+    def averages(self, options: BakeOptions) -> dict[str, NDArray]:
+        """Averages (n, 3), by name, of images that a fit under these options does not see.
+
+        They are made once; subsets that are taken afterwards have them too.
+        """
+        seen, pixel_filter = self.seen(options), options.pixel_filter
+        for name in seen.averaged:
+            if (name, pixel_filter) not in self._averages:
+                wrap = "tile" if self.base.tile else "clamp"
+                self._averages[name, pixel_filter] = filter_texels(
+                    seen.averaged[name], self.size, get_pixel_filter(pixel_filter), wrap, self.columns, self.rows
+                )
+        return {name: self._averages[name, pixel_filter] for name in seen.averaged}
 
     def measure(
         self, versions: list[Lobes], nodes: int = DENSE_NODES, samples: tuple[int, int] = DENSE_SAMPLES

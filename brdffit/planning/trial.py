@@ -8,7 +8,6 @@ cancels in their differences; what is left is estimated by resampling texels (Ef
 
 from __future__ import annotations
 
-import functools
 import math
 import os
 import time
@@ -18,9 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.fitting.averaging import averaged_levels
 from brdffit.fitting.sampling import LevelSample
 from brdffit.halfangle.measure import random_texels
 from brdffit.methods import BakeOptions
+from brdffit.models import get_model
 from brdffit.planning.effects import Setup
 from brdffit.render.pairs import pair_errors
 from brdffit.render.terms import Terms
@@ -32,7 +33,7 @@ UNSEEN = 1e-4
 #: light and viewer at each, samples of a footprint, and levels of a surface.
 TEXELS, LEAST_TEXELS, PAIRS, FOOTPRINT, LEVELS = 192, 32, 256, 1024, 4
 #: A fit is timed for at least so long, repeatedly, and the shortest counts; but on no more texels than that.
-_TIMED, _REPEATS, _FEW_TEXELS, _MOST_TEXELS = 0.04, 3, 16, 4096
+_TIMED, _REPEATS, _FEW_TEXELS, _MOST_TEXELS = 0.02, 2, 8, 8192
 _RESAMPLED = 200
 
 #: (view, light, weight) for so many texels and pairs, a seed, and highlights; see ``lighting.directions``.
@@ -132,43 +133,46 @@ class Sample:
         Processor time is counted and shared out over the threads; setups take turns and the shortest of several runs
         counts, so that what else the machine does disturbs little.
         """
-        per_texel = np.array([self._seconds_a_texel(level, setups) for level in self.levels])
+        first, last = self.reach
+        # Where most texels are; further down, what they cost goes on evenly.
+        timed_levels = sorted({min(first + k, last) for k in range(3)} | {(first + last + 2) // 2, last})
+        per_texel = np.array([self._seconds_a_texel(level, setups) for level in timed_levels])
         reached = range(self.reach[0], self.reach[1] + 1)
+        rest = [size for k, size in enumerate(self.sizes) if k not in reached]
+        target = get_model(self.options.model)
+        around = timed(lambda: list(averaged_levels(self.base, rest, self.options, target)), 1)
         total = []
         for m, setup in enumerate(setups):
-            # Between measured levels the logarithm of a texel's cost is taken to be straight.
-            cost = np.exp(np.interp(reached, self.levels, np.log(np.maximum(per_texel[:, m], 1e-9))))
+            # Between timed levels the logarithm of a texel's cost is taken to be straight.
+            cost = np.exp(np.interp(reached, timed_levels, np.log(np.maximum(per_texel[:, m], 1e-9))))
             counts = [0 if _is_kept(k, setup) else math.prod(self.sizes[k]) for k in reached]
-            total.append(float(cost @ counts))
+            total.append(float(cost @ counts) + around)
         return total
 
     def _seconds_a_texel(self, level: int, setups: Sequence[Setup]) -> list[float]:
-        texels = math.prod(self.sizes[level])
-        few = random_texels(self.sizes[level], min(texels, _MOST_TEXELS), self._seed(level) + 500)
-        runs: list[tuple[LevelSample, Setup, Any] | None] = []
-        pilot = [0.0] * len(setups)
-        for m, setup in enumerate(setups):
+        texels, threads = math.prod(self.sizes[level]), self.threads or os.cpu_count() or 1
+        many = random_texels(self.sizes[level], min(texels, _MOST_TEXELS), self._seed(level) + 500)
+        runs: list[_Run | None] = []
+        pilots = []
+        for setup in setups:
             if _is_kept(level, setup):
                 runs.append(None)
+                pilots.append(0.0)
                 continue
-            sample = self._level_sample(level, setup.unread, few)
+            # On one thread: what starting others costs a few texels says nothing of a level.
+            sample = self._level_sample(level, setup.unread, many).on_threads(1)
             start = time.process_time()
             settings = sample.settings(setup.options)
-            # A whole level pays once for it, on one thread.
-            pilot[m] = (time.process_time() - start) / texels
-            some = sample.subset(min(len(few[0]), _FEW_TEXELS))
-            taken = timed(functools.partial(some.fit, setup.options, settings=settings), self.threads)
-            count = min(max(math.ceil(len(some) * _TIMED / taken), len(some)), len(few[0]))
-            runs.append((sample.subset(count), setup, settings))
+            pilots.append(time.process_time() - start)
+            # A whole level is averaged by another way, which costs next to nothing.
+            sample.averages(setup.options)
+            runs.append(_Run(sample, setup.options, settings))
         shortest = [math.inf] * len(setups)
         for _ in range(_REPEATS):
             for m, run in enumerate(runs):
-                taken = 0.0
-                if run is not None:
-                    fit = functools.partial(run[0].fit, run[1].options, settings=run[2])
-                    taken = timed(fit, self.threads) / len(run[0])
-                shortest[m] = min(shortest[m], taken)
-        return [a + b for a, b in zip(shortest, pilot, strict=True)]
+                shortest[m] = min(shortest[m], 0.0 if run is None else run.seconds_a_texel())
+        # A whole level pays once for its pilot.
+        return [a / threads + b / texels for a, b in zip(shortest, pilots, strict=True)]
 
     def _version(self, level: int, setup: Setup) -> Svbrdf:
         if _is_kept(level, setup):
@@ -227,6 +231,26 @@ def _picked(level: Svbrdf, columns: NDArray, rows: NDArray) -> Svbrdf:
     """Some texels as an (n, 1) image."""
     arrays = {name: array[rows, columns][:, None] for name, array in level.arrays().items()}
     return Svbrdf(**arrays, model=level.model, wrap=level.wrap)
+
+
+class _Run:
+    """Texels of a level, fitted again and again to see what one costs."""
+
+    def __init__(self, sample: LevelSample, options: BakeOptions, settings: Any) -> None:
+        def fit(count: int) -> float:
+            few = sample.subset(count)
+            return timed(lambda: few.fit(options, settings=settings), 1)
+
+        self._fit = fit
+        self._few, self._many = min(_FEW_TEXELS, len(sample)), min(4 * _FEW_TEXELS, len(sample))
+        while self._many < len(sample) and fit(self._many) < _TIMED:
+            self._many = min(4 * self._many, len(sample))
+
+    def seconds_a_texel(self) -> float:
+        """Processor seconds; where there are texels enough, without what each call of the loop costs."""
+        if self._many < 2 * self._few:
+            return self._fit(self._many) / self._many
+        return max(self._fit(self._many) - self._fit(self._few), 0.0) / (self._many - self._few)
 
 
 def timed(work: Callable[[], object], threads: int | None) -> float:

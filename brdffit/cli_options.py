@@ -1,0 +1,94 @@
+"""What options of the command line mean: their checks, and those that several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import click
+
+ROUGHNESS_FLOOR: dict[str, Any] = {"type": click.FloatRange(0, 1, min_open=True)}
+OUTPUT_HELP = "Folder to write into; the set gets one of its own name there."
+SCENE_HELP = "Instead of SET: every surface of this scene, as its plan says; see `brdffit plan`."
+SPECULAR_HELP = "Fit the scale of the lobe, or hold the filtered colour; auto: what the preset can store."
+
+
+def known(kind: str) -> Callable[[click.Context, click.Parameter, str | None], str | None]:
+    """A callback that refuses an unknown method, model or preset with the nearest name (exit code 2)."""
+
+    def check(ctx: click.Context, parameter: click.Parameter, name: str | None) -> str | None:
+        from brdffit.methods import method_names, one_of
+        from brdffit.models import model_names
+        from brdffit.textures.presets import preset_names
+
+        own_class = kind == "method" and ":" in (name or "")
+        if name is not None and not own_class:
+            one_of(kind, name, {"method": method_names, "model": model_names, "preset": preset_names}[kind]())
+        return name
+
+    return check
+
+
+def roles_of(ctx: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, str] | None:
+    """ROLE=FILE, repeated, as a mapping."""
+    roles: dict[str, str] = {}
+    for pair in pairs:
+        role, equals, file = pair.partition("=")
+        if not (role and equals and file):
+            raise click.BadParameter(f"'{pair}' is not of the form ROLE=FILE, for example normal=bumps.png.")
+        if role in roles:
+            raise click.BadParameter(f"'{role}' is given twice.")
+        roles[role] = file
+    return roles or None
+
+
+def texel_of(ctx: click.Context, parameter: click.Parameter, text: str) -> tuple[int, int]:
+    """X,Y as (column, row)."""
+    column, comma, row = text.partition(",")
+    if not (comma and column.strip().isdecimal() and row.strip().isdecimal()):
+        raise click.BadParameter(f"'{text}' is not of the form X,Y, for example 12,7.")
+    return int(column), int(row)
+
+
+def reading_options(command: Callable) -> Callable:
+    """Options that say how a set is read."""
+    for option in (
+        click.option("--height-scale", type=float, metavar="TEXELS", help="Texels between heights 0 and 1."),
+        click.option("--wrap", type=click.Choice(["tile", "clamp"]), default="tile"),
+        click.option(
+            "--normal-y", type=click.Choice(["gl", "dx"]), help="Of the normal map; else told by names or slopes."
+        ),
+        click.option(
+            "--role",
+            "roles",
+            multiple=True,
+            callback=roles_of,
+            metavar="ROLE=FILE",
+            help="What a file is, as roughness=r.png; repeatable.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def choice(*names: str) -> dict[str, Any]:
+    """An option whose default, shown, is that of BakeOptions or of the preset: it is passed on only if given."""
+    return {"type": click.Choice(names)}
+
+
+def refuse_beside_scene(context: click.Context, allowed: Sequence[str]) -> None:
+    """Beside --scene only what no plan decides may be given."""
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        if name not in allowed and context.get_parameter_source(name) == click.core.ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{parameter.opts[0]} cannot be given beside --scene: the plan decides it.")
+
+
+def shard_of(ctx: click.Context, parameter: click.Parameter, text: str | None) -> tuple[int, int] | None:
+    """i/n as two numbers."""
+    if text is None:
+        return None
+    part, slash, parts = text.partition("/")
+    if not (slash and part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):
+        raise click.BadParameter(f"'{text}' is not of the form i/n with 1 <= i <= n, for example 3/8.")
+    return int(part), int(parts)
