@@ -41,7 +41,10 @@ def make_plan(
     scene = read_scene(path)
     if sets:
         first = scene.surfaces[0]
-        surfaces = tuple(msgspec.structs.replace(first, set=str(each), name=each.stem) for each in sets)
+        surfaces = tuple(
+            msgspec.structs.replace(first, set=str(each), name=each.name if each.is_dir() else each.stem)
+            for each in sets
+        )
         scene = msgspec.structs.replace(scene, surfaces=surfaces)
     with Console(stderr=True, highlight=False, markup=False).status("") as status:
         return scene, plan_scene(scene, path.name, seed, threads, lambda text: status.update(text))
