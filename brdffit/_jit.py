@@ -59,6 +59,36 @@ _use_wide_vectors()
 import numba  # noqa: E402
 from numba import typeof as numba_type  # noqa: E402, F401
 from numba import types  # noqa: E402, F401  (kernel files take their type names from here)
+from numba.core import codegen  # noqa: E402
+
+
+def _keep_copies_apart() -> None:
+    """Give each compiled function copies of its own of what it calls.
+
+    Numba links callees into their callers under names that any loaded library may define, and the process then takes
+    whichever came first. What was compiled or loaded before would so decide about the last bits of a result: a first
+    run, which compiles the callees too, and a later one, which loads the callers alone, would differ. With internal
+    linkage they cannot; for linking into further callers Numba is left the copies as it knows them.
+    """
+    original = codegen.JITCodeLibrary._finalize_final_module
+
+    def finalize(library):  # type: ignore[no-untyped-def]
+        if library._shared_module is not None:  # loaded from the cache: it is as it was compiled
+            return original(library)
+        shared = library._final_module.clone()
+        for function in shared.functions:
+            if not function.is_declaration and function.linkage == llvmlite.binding.Linkage.external:
+                function.linkage = "linkonce_odr"
+        library._shared_module = shared
+        for function in library._final_module.functions:
+            if not function.is_declaration and function.linkage == llvmlite.binding.Linkage.linkonce_odr:
+                function.linkage = "internal"
+        return original(library)
+
+    codegen.JITCodeLibrary._finalize_final_module = finalize
+
+
+_keep_copies_apart()
 
 #: Reassociation and contraction give the full speed; nnan and ninf stay out, so that isfinite keeps its meaning.
 _FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
