@@ -85,7 +85,7 @@ def _keep_copies_apart() -> None:
                 function.linkage = "internal"
         return original(library)
 
-    codegen.JITCodeLibrary._finalize_final_module = finalize
+    codegen.JITCodeLibrary._finalize_final_module = finalize  # type: ignore[method-assign]  # there is no other door
 
 
 _keep_copies_apart()
