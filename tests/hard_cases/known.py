@@ -9,13 +9,11 @@ from lobe_oracle import MODELS
 
 from hard_cases.catalogue import PAIRS, QUICK, Case
 
-_ROOM = "512 samples on 4x4 texels of needles, 320 nodes: the rule's two halves agree on a lobe that the truth refuses"
 _OPTIMA = "optima up to a third of the error apart: which one is found depends on where the nodes stand"
 _STRATA = "two samples a texel, cut where normals turn but not where roughness jumps: the sharpest lobe is never seen"
 
 _JUMPS = "roughness that jumps from texel to texel"
 KNOWN: dict[tuple[str, str, str], str] = {
-    ("start", "negative weights on needles", "generalised-beckmann"): _ROOM,
     ("turned", "two channels", "generalised-beckmann"): _OPTIMA,
     ("turned", "steep beside upright", "ggx"): _OPTIMA,
     ("turned", "horizon beside upright", "ggx"): _OPTIMA,
