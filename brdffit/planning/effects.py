@@ -22,7 +22,7 @@ class Effect:
     Attributes:
         name: as scene files write it.
         title: for people.
-        absent: what is done without it, as the end of "off: ...".
+        absent: what is done without it, as plans say it.
         on, off: fields of ``BakeOptions``, with it and without it.
         unread: roles of maps that are not read without it.
         terms: fields of the judge's ``Terms`` that are False without it.

@@ -169,7 +169,7 @@ class SurfaceWork:
                 why, change = f"it is not shown to bring {WORTH_A_PASS:g} dB", "a set or a view in which it does"
             else:
                 over = " (over the budget: its seconds are saved)" if loss.at_most > budget else ""
-                why, change = f"without it at most {may} are lost{over}", f"a budget below {may}"
+                why, change = f"{effect.absent}: at most {may} are lost{over}", f"a budget below {may}"
         return EffectRow(
             name=name, title=effect.title, asked=asked, on=on, why=why, change=change,
             contributes_db=None if loss is None else loss.db, uncertain_db=None if loss is None else loss.error,
