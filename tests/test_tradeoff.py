@@ -14,7 +14,7 @@ from brdffit.halfangle.measure import random_texels
 from brdffit.textures.procedural import make_set
 from brdffit.tradeoff import run
 from brdffit.tradeoff.command import as_markdown
-from brdffit.tradeoff.front import with_front
+from brdffit.tradeoff.front import choices, with_front
 from brdffit.tradeoff.record import Point, Tradeoff
 from brdffit.tradeoff.solvers import SOLVERS, race
 from brdffit.tradeoff.ways import ways
@@ -37,10 +37,35 @@ def test_other_ends_do_not_stand_on_the_front():
     assert [each.front for each in found] == [True, False, False]
 
 
+def test_the_cheapest_setting_within_what_a_preset_may_lose_is_chosen():
+    """Over two sets: one setting loses too much on one of them, the dearest gains nothing, and 60 dB is 50."""
+    found = []
+    for name, shift in (("a", 0.0), ("b", 30.0)):
+        for group, way, seconds, decibels in (
+            ("preset", "draft", 0.5, 19.0), ("preset", "standard", 1.0, 20.0), ("preset", "fine", 4.0, 20.1),
+            ("setting", "few", 0.4, 19.7), ("setting", "some", 0.8, 20.02), ("setting", "many", 3.0, 20.1),
+        ):  # fmt: skip
+            own = Point(name, group, way, seconds, decibels + shift, None, 1.0, [decibels + shift])
+            found.append(own)
+    chosen = {each.preset: each for each in choices(found)}
+    assert [chosen[name].setting for name in ("draft", "standard", "fine")] == ["few", "some", "many"]
+    # Set b: the best counts as 50 dB, and so do 20.02 + 30 and 20.1 + 30; few and draft lose 0.3 and 1 dB there.
+    assert chosen["draft"].behind_db == pytest.approx((0.4 + 0.3) / 2)
+    assert chosen["draft"].preset_worst_db == pytest.approx(1.1)
+    assert chosen["standard"].behind_db == pytest.approx(0.04) and chosen["standard"].cost == pytest.approx(0.8)
+    assert chosen["fine"].preset_cost == pytest.approx(4.0)
+
+
+def test_a_setting_that_one_set_lacks_is_not_chosen():
+    found = [point(1, 20, "preset", "standard"), point(0.5, 20, "setting", "cheap")]
+    other = [msgspec.structs.replace(each, set="other") for each in found[:1]]
+    assert [each.setting for each in choices(found)] == ["cheap"] and choices(found + other) == []
+
+
 def test_every_way_has_a_name_of_its_own():
     names = [(way.group, way.name) for way in ways()]
     assert len(set(names)) == len(names)
-    assert {"preset", "tolerance", "nodes", "model", "float", "method"} <= {group for group, _ in names}
+    assert {"preset", "tolerance", "nodes", "setting", "model", "float", "method"} <= {group for group, _ in names}
 
 
 def test_optimisers_agree_where_there_is_one_minimum():

@@ -16,6 +16,7 @@ from brdffit.textures.atomic import check_writable, first_other, replacing
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.texture_set import read_texture_set
 from brdffit.tradeoff.drawing import draw
+from brdffit.tradeoff.front import PERFECT, choices
 from brdffit.tradeoff.record import Tradeoff
 from brdffit.tradeoff.run import QUICK, Size, measure_set
 
@@ -41,7 +42,8 @@ def run(sources: Sequence[str], output: Path, quick: bool, command: str) -> Trad
             own_points, own_solvers = measure_set(name, svbrdf, size, status.update)
             points += own_points
             solvers += own_solvers
-    found = Tradeoff(command, machine(), list(size.texels), points, solvers, round(time.perf_counter() - began, 1))
+    seconds = round(time.perf_counter() - began, 1)
+    found = Tradeoff(command, machine(), list(size.texels), points, solvers, choices(points), seconds)
     with replacing(output, _foreign) as fresh:
         (fresh / _FILES[0]).write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=1))
         (fresh / _FILES[1]).write_text(as_markdown(found), encoding="utf-8")
@@ -87,6 +89,23 @@ def _solver_rows(found: Tradeoff) -> list[tuple[str, ...]]:
     ]
 
 
+_CHOICE_HEAD = (
+    "preset", "may lose, dB", "cheapest setting within", "time", "dB behind", "worst set",
+    "the preset: time", "dB behind", "worst set",
+)  # fmt: skip
+
+
+def _choice_rows(found: Tradeoff) -> list[tuple[str, ...]]:
+    return [
+        (
+            each.preset, f"{each.allowed_db:g}", each.setting, f"{each.cost:.2f}", f"{each.behind_db:.3f}",
+            f"{each.worst_db:.2f}", f"{each.preset_cost:.2f}", f"{each.preset_behind_db:.3f}",
+            f"{each.preset_worst_db:.2f}",
+        )
+        for each in found.choices
+    ]  # fmt: skip
+
+
 def as_markdown(found: Tradeoff) -> str:
     """The tables, and how to make them again."""
     ran_on = ", ".join(f"{key} {value}" for key, value in found.machine.items())
@@ -96,6 +115,10 @@ def as_markdown(found: Tradeoff) -> str:
         "forms: a whole bake); half-angle SNR, mean of these levels in dB; rendered: SNR of radiance over pairs of "
         "light and viewer, whole specular BRDF, levels 1, 3 and 5; energy kept; the front: no way to the same end is "
         "faster and better; what each dB costs that a way on the front has over the one before.\n",
+        "## What the front says of the presets\n\nBehind: half-angle SNR missing to the best way of a set, mean of the "
+        f"sets, levels above {PERFECT:g} dB counting as that. Time: over that of standard, geometric mean.\n",
+        _markdown_table(_CHOICE_HEAD, _choice_rows(found)),
+        "\n## Every way\n",
         _markdown_table(_HEAD, _rows(found)),
         "\n## Optimisers\n\nOn one table a texel (320 nodes, levels 1 and 3), from the closed-form start; time of the "
         "search alone.\n",
@@ -119,6 +142,13 @@ def show(found: Tradeoff, output: Path) -> None:
         for row in _rows(found):
             if row[0] == name and (row[7] or row[1] == "preset"):
                 table.add_row(*row[1:], style="bold" if row[1] == "preset" else None)
+        console.print(table)
+    if found.choices:
+        table = Table(title="What the front says of the presets (time over standard's)", box=None, title_justify="left")
+        for k, head in enumerate(_CHOICE_HEAD):
+            table.add_column(head, justify="left" if k in (0, 2) else "right")
+        for row in _choice_rows(found):
+            table.add_row(*row)
         console.print(table)
     if found.solvers:
         table = Table(title="Optimisers on one objective", box=None, title_justify="left")

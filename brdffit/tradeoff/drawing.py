@@ -12,7 +12,7 @@ _STYLES = {
     "preset": ("#b3005e", "D"),
     "tolerance": ("#d9730d", "^"),
     "nodes": ("#1f6fb5", "o"),
-    "sampling": ("#0899ad", "v"),
+    "setting": ("#0899ad", "v"),
     "model": ("#7c5cbf", "P"),
     "lobe": ("#5b8c15", "X"),
     "loss": ("#8a5a1a", "*"),

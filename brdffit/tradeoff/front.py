@@ -1,12 +1,14 @@
-"""The Pareto front of points in time and accuracy, and the price of each dB along it."""
+"""The Pareto front of points in time and accuracy, the price of each dB along it, and what it says of the presets."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import msgspec
 
-from brdffit.tradeoff.record import Point
+from brdffit.tradeoff.record import Choice, Point
+from brdffit.tradeoff.ways import SETTING
 
 #: A way must win this much (dB) to stand on the front behind a faster one: less is noise of the sample.
 WORTH = 0.005
@@ -29,6 +31,54 @@ def with_front(points: Sequence[Point]) -> list[Point]:
             found[id(point)] = price
             best, last = point.snr_db, point
     return [msgspec.structs.replace(point, front=id(point) in found, price=found.get(id(point))) for point in points]
+
+
+#: What each preset may lose to the best way, in dB.
+ALLOWED = {"draft": 0.5, "standard": 0.1, "fine": 0.03}
+#: dB above which all is equally good: errors below 1e-5 of the light show in no picture.
+PERFECT = 50.0
+
+
+def choices(points: Sequence[Point]) -> list[Choice]:
+    """For each preset the cheapest setting within what it may lose, and the preset itself, over all sets."""
+    sets: dict[str, list[Point]] = {}
+    for point in points:
+        if on_the_same_ground(point):
+            sets.setdefault(point.set, []).append(point)
+    figures: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for own in sets.values():
+        best = max(_seen_db(point) for point in own)
+        usual = next((point.seconds_per_megatexel for point in own if _is(point, "preset", "standard")), None)
+        if usual is None:
+            continue
+        for point in own:
+            cost = math.log(point.seconds_per_megatexel / usual)
+            figures.setdefault((point.group, point.name), []).append((cost, best - _seen_db(point)))
+    found = {key: _summary(each) for key, each in figures.items() if len(each) == len(sets)}
+    chosen = []
+    for preset, allowed in ALLOWED.items():
+        within = {name: each for (group, name), each in found.items() if group == SETTING and each[1] <= allowed}
+        if within and ("preset", preset) in found:
+            name = min(within, key=lambda each: within[each][0])
+            chosen.append(Choice(preset, allowed, name, *within[name], *found["preset", preset]))
+    return chosen
+
+
+def _summary(figures: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
+    """(cost, mean dB behind, worst dB behind) of (log cost, dB behind) of each set."""
+    return (
+        math.exp(sum(cost for cost, _ in figures) / len(figures)),
+        sum(behind for _, behind in figures) / len(figures),
+        max(behind for _, behind in figures),
+    )
+
+
+def _seen_db(point: Point) -> float:
+    return sum(min(decibels, PERFECT) for decibels in point.levels_db) / len(point.levels_db)
+
+
+def _is(point: Point, group: str, name: str) -> bool:
+    return (point.group, point.name) == (group, name)
 
 
 def on_the_same_ground(point: Point) -> bool:

@@ -39,6 +39,24 @@ class Solver(msgspec.Struct, frozen=True):
     evaluations: float
 
 
+class Choice(msgspec.Struct, frozen=True):
+    """The cheapest setting that loses at most ``allowed_db`` to the best way, in the mean of all sets, beside a preset.
+
+    ``cost``: seconds over those of standard, geometric mean of the sets; ``behind_db``: mean of the sets, what is above
+    50 dB counting as that; ``worst_db``: of one set; the same three of the preset.
+    """
+
+    preset: str
+    allowed_db: float
+    setting: str
+    cost: float
+    behind_db: float
+    worst_db: float
+    preset_cost: float
+    preset_behind_db: float
+    preset_worst_db: float
+
+
 class Tradeoff(msgspec.Struct, frozen=True):
     """All points of a run, and what it ran on."""
 
@@ -47,4 +65,5 @@ class Tradeoff(msgspec.Struct, frozen=True):
     texels: list[int]
     points: list[Point]
     solvers: list[Solver]
+    choices: list[Choice]
     seconds: float

@@ -11,7 +11,9 @@ from brdffit.methods import QUALITIES, BakeOptions, method_names
 from brdffit.models import model_names
 
 TOLERANCES = (0.5, 0.2, 0.1, 0.03)
-NODES = (32, 64, 96, 160, 320, 640, 1280)
+NODES = (32, 96, 320, 1280)
+#: Group of the ways that presets are chosen among: the samples of each preset, with so many nodes on the first rule.
+SETTING, SETTING_NODES = "setting", (64, 96, 160, 256, 384)
 FIT = "bfgs"
 
 
@@ -20,7 +22,7 @@ class Way:
     """One way to fit a level.
 
     Attributes:
-        group: what is varied: method, preset, tolerance, nodes, sampling, model, lobe, loss or float.
+        group: what is varied: method, preset, tolerance, nodes, setting, model, lobe, loss or float.
         name: as shown.
         method: of the registry; all but "bfgs" are timed as a whole bake.
         options: of the bake.
@@ -43,11 +45,11 @@ def ways() -> list[Way]:
     found += [Way("preset", name, options=BakeOptions(quality=name)) for name in QUALITIES]
     found += [Way("tolerance", f"{dB:g} dB", options=BakeOptions(tolerance=dB)) for dB in TOLERANCES]
     found += [Way("nodes", f"{n} nodes", quality=fixed_nodes(standard, n)) for n in NODES]
-    for name in QUALITIES:
-        sampled = dataclasses.replace(get_quality(name), nodes=standard.nodes, tolerance=standard.tolerance,
-                                      trusted=standard.trusted, negligible=standard.negligible,
-                                      starts=standard.starts, iterations=standard.iterations)  # fmt: skip
-        found.append(Way("sampling", f"samples of {name}", quality=sampled))
+    found += [
+        Way(SETTING, f"samples of {name}, {n} nodes", quality=_setting(name, n))
+        for name in QUALITIES
+        for n in SETTING_NODES
+    ]
     found += [Way("model", name, options=BakeOptions(model=name)) for name in model_names()]
     found += [
         Way("lobe", "isotropic", options=BakeOptions(lobe="isotropic")),
@@ -59,6 +61,15 @@ def ways() -> list[Way]:
         Way("float", "64-bit sums", float_width=64),
     ]
     return found
+
+
+def _setting(samples: str, nodes: int) -> Quality:
+    """The samples of one preset with rules from so many nodes on; all else as in standard."""
+    quality, rules = get_quality(samples), (nodes, 2 * nodes, 4 * nodes)
+    return dataclasses.replace(
+        get_quality("standard"), least=quality.least, most=quality.most, room=quality.room, step=quality.step,
+        merge=quality.merge, nodes=rules,
+    )  # fmt: skip
 
 
 def fixed_nodes(quality: Quality, nodes: int) -> Quality:
