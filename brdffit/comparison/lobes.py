@@ -135,7 +135,7 @@ def _footprint_lobes(svbrdf: Svbrdf, size: tuple[int, int], texel: tuple[int, in
     count, _ = gather_lobes(base, rule, DENSE_STEP, texel[0], texel[1], lobes, np.zeros(9))
     normalise_mixture(lobes, count)
     # Full tensors for all, whether or not a sample's part of the footprint spreads.
-    widen_lobes(lobes, count, base.isotropic)
+    widen_lobes(lobes, count, base.isotropic, base.widening)
     return lobes[:count]
 
 

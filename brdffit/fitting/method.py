@@ -27,13 +27,14 @@ from brdffit.fitting.effects import Seen, complete, kernels_of, reached, seen_by
 from brdffit.fitting.losses import LOSS_CODES
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.refine import refine_pyramid
-from brdffit.fitting.status import CLOSED_FORM, FALLBACK, KEPT, NOT_REACHED
-from brdffit.fitting.texel import Search, spared
+from brdffit.fitting.status import FALLBACK, KEPT, NOT_REACHED
+from brdffit.fitting.texel import Search
 from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter, iter_pyramid
 from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, strata
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import random_texels
 from brdffit.halfangle.quadrature import lattice
+from brdffit.halfangle.response import NO_RESPONSE, response_of
 from brdffit.methods import LOSSES, BakeOptions, Level, Progress, Pyramid, one_of
 from brdffit.models import Model, get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -46,8 +47,6 @@ _WIDE, _WIDE_NODES = 4, 2
 # Texels that tell a level's mean error, and texels of a level worth it.
 _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
 _LAXEST = 1e-2
-# Share of a level's fitted texels that few nodes must do for.
-_ENOUGH = 0.3
 
 
 class NonlinearFit:
@@ -174,9 +173,10 @@ def search_settings(options: BakeOptions, quality: Quality, base: Base, source: 
         negligible=quality.negligible,
         crowd=2,
         floor=0.0,
+        allowed=0.0,
         loss=LOSS_CODES[one_of("loss", options.loss, LOSSES)],
         usual=0 if options.tolerance is None else 1,
-        few=False,
+        response=NO_RESPONSE,
     )
 
 
@@ -186,28 +186,30 @@ def tolerant(
 ) -> Search:  # fmt: skip
     """``search`` for one level under ``options.tolerance``: how much error each shortcut of a texel may cost.
 
-    A level's SNR is the mean of its texels' errors e_i. If each of three shortcuts (closed form, few nodes, an early
-    stop) costs a texel at most a third of t max(e_i, mean e), t = 10^(dB/10) - 1, the mean grows by 2 t at the very
-    most, and by far less in practice, since hardly a texel uses up what it may. The mean error comes from random texels
-    that are fitted without shortcuts; a small level is not worth them.
+    A level's SNR is the mean of its texels' errors e_i. If no texel loses more than t times the mean of all,
+    t = 10^(dB/10) - 1, to the closed form, or a third of that to few nodes and to an early stop each, the mean grows by
+    t at the very most, and by far less in practice, since hardly a texel uses up what it may. The mean error comes from
+    random texels that are fitted without shortcuts; a small level is not worth them.
     """
     if options.tolerance is None:
         return search
-    share = (10.0 ** (0.1 * options.tolerance) - 1.0) / 3.0
+    share = 10.0 ** (0.1 * options.tolerance) - 1.0
     # Where a start is too wide for its target the error is a plateau: a lax search would stop there.
-    search = search._replace(tolerance=min(share, _LAXEST))
+    search = search._replace(tolerance=min(share / 3.0, _LAXEST))
     if size[0] * size[1] < _LEAST_TEXELS:
         return search
     columns, rows = random_texels(size, _PILOT_TEXELS, seed=mip_level)
     pilot = make_output(len(columns))
     fit_texels(base, rules, columns, rows, search, pilot, kernels)
-    residual = pilot.residual.copy()
-    search = search._replace(floor=share * float(residual.mean()))
-    # Few nodes first only where they do for enough of the texels that are fitted: the others are fitted twice.
-    fit_texels(base, rules, columns, rows, search, pilot, kernels)
-    fitted = residual[pilot.status != CLOSED_FORM]
-    served = np.count_nonzero(fitted <= spared(search.floor, rules.points[0].shape[1]))
-    return search._replace(few=bool(served > _ENOUGH * len(fitted)))
+    spare = share * float(pilot.residual.mean())
+    search = search._replace(floor=spare / 3.0)
+    if not search.same_model or search.free & FREE_SHAPE or search.loss != LOSS_CODES["l2"] or base.has_shape:
+        return search
+    response = response_of(
+        kernels.values, kernels.log_normalisation, search.exponent, turns=bool(search.free & FREE_NORMAL),
+        stretches=bool(search.free & FREE_ANISOTROPY), held=search.held,
+    )  # fmt: skip
+    return search._replace(allowed=spare, response=response)
 
 
 def _fit_level(

@@ -1,81 +1,189 @@
-"""When the closed-form lobe is good enough: an estimate of its error from the footprint's moments alone.
+"""The closed form in place of a search, where the lobes of a footprint differ little: see brdffit.halfangle.response.
 
-For lobes that differ little, LEAN's error is second order. In slopes scaled to the mean tensor, with C the covariance
-of the normals and V that of the tensors, the apparent lobe is D + (1/2) C : grad grad D + (1/2) V : d^2 D / dSigma^2
-and LEAN's is D + 2 C : dD / dSigma. For GGX, D = u^2 / pi with u = 1 / (1 + t^2), and in the plane (where the integral
-of a function of u is pi times that over du / u^2):
-
-- normals, C = c I: the difference is c (12 u^3 - 12 u^4 - 2 u^2) / pi; its square over |D|^2 = 1 / (3 pi) is 0.914 c^2;
-- tensors: v (3 u^4 - 2 u^3) / pi with v the relative variance of alpha^2, so 0.257 v^2;
-- a channel whose mean normal is off by t: 1.2 t^2 of that channel's share (brdffit.fitting.bfgs);
-- an isotropic fit leaves an anisotropy of up to 2 c: 0.2 c^2 at most.
-
-Lobes with a Gaussian peak lose less: for them LEAN's first order is exact. The sum is doubled, for what is left out
-(third moments, the horizon); a test holds it against the truth on random footprints.
+What it loses to the best lobe is of the order of the fourth moment of the lobes' differences x, so its square counts:
+in units of the target's norm, the excess of the error is about 0.2 to 0.8 E[r^4]^2, r^2 = t1^2 + t2^2 + l^2 / 4, on
+real sets. The estimate is twice the largest of these; a test holds it against the truth on random footprints.
 """
 
 from __future__ import annotations
 
 import math
 
-from brdffit._jit import kernel
-from brdffit.halfangle.closed_forms import tensor_of
-from brdffit.halfangle.quadrature import MIXTURE, SHAPE, SPECULAR
+from brdffit._jit import inline, kernel
+from brdffit.halfangle.closed_forms import STEEPEST_SLOPE
+from brdffit.halfangle.objective import PARAMETERS
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, NORMALISATION, SHAPE, SPECULAR, SPREAD
+from brdffit.halfangle.response import ANSWERS, BY_FIRST, OFF_PLANE, OFF_SCALE, ROW, SECOND, THIRD
 
-_NORMALS, _TENSORS, _CHANNELS, _ANISOTROPY = 0.914, 0.257, 1.2, 0.2
-_SAFETY = 2.0
-_ALIKE = 1e-3
+_SAFETY = 1.5
+# log alpha^2 lies in this column until the lobes are normalised.
+_LOG = NORMALISATION
+#: An excess that is not known.
+NOT_KNOWN = 1e30
+#: Below this all lobes are alike.
+FLAT_EXCESS = 1e-23
+#: Scratch of ``closed_form``: moments, then one row of the table.
+WORK = THIRD + ROW
+
+
+@inline
+def _blend(response, log_alpha, cosine, row):
+    """The table's row at alpha and tilt, linear in between; returns whether it lies within the table."""
+    a = max((log_alpha - response.log_alpha) / response.log_alpha_step, 0.0)
+    z = (cosine - response.cosine) / response.cosine_step
+    last_a, last_z = response.table.shape[0] - 1, response.table.shape[1] - 1
+    if a > last_a or z < 0.0:
+        return False
+    i, k = min(int(a), last_a - 1), min(int(z), last_z - 1)
+    fa, fz = a - i, min(z - k, 1.0)
+    w00, w01, w10, w11 = (1.0 - fa) * (1.0 - fz), (1.0 - fa) * fz, fa * (1.0 - fz), fa * fz
+    r00, r01, r10, r11 = (
+        response.table[i, k],
+        response.table[i, k + 1],
+        response.table[i + 1, k],
+        response.table[i + 1, k + 1],
+    )
+    for m in range(ROW):
+        row[m] = w00 * r00[m] + w01 * r01[m] + w10 * r10[m] + w11 * r11[m]
+    return math.isfinite(row[0])
+
+
+@inline
+def fitted_error(excess):
+    """About the error of the best lobe, 0.07 E[r^2]^2, where this is the closed form's excess."""
+    return 0.07 * math.sqrt(excess / _SAFETY)
 
 
 @kernel
-def closed_form_error(lobes, count, isotropic_base, isotropic_fit):
-    """Relative squared error of the closed-form lobe of a footprint, as a safe estimate; infinite where none holds.
+def _own_scales(lobes, count, x, y, z, cos, sin, middle, inverse, m1, m2, norm, row, report):
+    """Scales of channels whose own lobes lie off the common middle, into ``report``[0:3]; returns the error left."""
+    error = 0.0
+    for channel in range(3):
+        total, t1, t2, k = 0.0, 0.0, 0.0, 0.0
+        for i in range(count):
+            lobe = lobes[i]
+            w = lobe[SPECULAR + channel]
+            c = w * inverse / max(lobe[0] * x + lobe[1] * y + lobe[2] * z, 0.1)
+            total += w
+            t1 += c * (z * (lobe[0] * cos + lobe[1] * sin) - (x * cos + y * sin) * lobe[2])
+            t2 += c * (lobe[1] * cos - lobe[0] * sin)
+            k += w * lobe[_LOG]
+        t1, t2, k = t1 - total * m1, t2 - total * m2, k - total * middle
+        report[channel] = max(
+            report[channel] + t1 * row[BY_FIRST] + t2 * row[BY_FIRST + 1] + k * row[BY_FIRST + 2], 0.0
+        )
+        error += (t1 * t1 * row[OFF_SCALE] + t2 * t2 * row[OFF_SCALE + 1] + k * k * row[OFF_SCALE + 2]) / norm
+    return error
 
-    MIXTURE holds shares that sum to 1 (no defensive lobe yet).
+
+@kernel
+def closed_form(lobes, count, grey, red, green, blue, response, allowed, theta, report, work):
+    """The lobe that answers to the footprint's moments, if it is within ``allowed`` of the best; returns its excess.
+
+    Lobes are isotropic and of one shape, not widened; SPECULAR columns sum to (red, green, blue). Where the estimate
+    (relative squared error above the best lobe's) is below ``allowed``, ``theta`` (6,) is filled, and ``report``[0:4]
+    with its scale and its own error; elsewhere nothing is. ``work`` (WORK,) is scratch.
     """
-    x, y, z, total = 0.0, 0.0, 0.0, 0.0
-    xx, yy, xy, least = 0.0, 0.0, 0.0, 1e30
-    low, high = 1e30, -1e30
+    # Weights by which a scale a channel, and so the sum over channels, sees each lobe.
+    norm = red * red + green * green + blue * blue
+    if not norm > 0.0:
+        return NOT_KNOWN
+    r, g, b = red / norm, green / norm, blue / norm
+    x, y, z, middle = 0.0, 0.0, 0.0, 0.0
+    last, log = -1.0, 0.0
     for i in range(count):
-        w = lobes[i, MIXTURE]
-        x += w * lobes[i, 0]
-        y += w * lobes[i, 1]
-        z += w * lobes[i, 2]
-        t_xx, t_yy, t_xy, smallest = tensor_of(lobes, i, isotropic_base)
-        xx += w * t_xx
-        yy += w * t_yy
-        xy += w * t_xy
-        least = min(least, smallest)
-        low, high = min(low, lobes[i, SHAPE]), max(high, lobes[i, SHAPE])
-        total += lobes[i, SPECULAR] + lobes[i, SPECULAR + 1] + lobes[i, SPECULAR + 2]
-    if high - low > _ALIKE or z < 0.5 or not total > 0.0:
-        return 1e30
-    normals, tensors = 0.0, 0.0
-    r_x, r_y, r_z, r_w = 0.0, 0.0, 0.0, 0.0
-    b_x, b_y, b_z, b_w = 0.0, 0.0, 0.0, 0.0
+        lobe = lobes[i]
+        if not (lobe[SPECULAR] >= 0.0 and lobe[SPECULAR + 1] >= 0.0 and lobe[SPECULAR + 2] >= 0.0):
+            return NOT_KNOWN
+        w = r * lobe[SPECULAR] + g * lobe[SPECULAR + 1] + b * lobe[SPECULAR + 2]
+        if lobe[ALPHA_SQUARED] != last:
+            last = lobe[ALPHA_SQUARED]
+            log = math.log(last)
+        lobe[_LOG] = log
+        x += w * lobe[0]
+        y += w * lobe[1]
+        z += w * lobe[2]
+        middle += w * log
+    length = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
+    if z < 1.0 / STEEPEST_SLOPE:
+        return NOT_KNOWN
+    # Tangents along and across the tilt.
+    sine = math.sqrt(x * x + y * y)
+    cos, sin = (x / sine, y / sine) if sine > 1e-9 else (1.0, 0.0)
+    a_x, a_y, a_z = z * cos, z * sin, -sine
+    alpha = math.exp(0.5 * middle)
+    inverse = 1.0 / alpha
+    for m in range(THIRD):
+        work[m] = 0.0
+    m1, m2, fourth = 0.0, 0.0, 0.0
+    s11, s12, s22 = 0.0, 0.0, 0.0
     for i in range(count):
-        w = lobes[i, MIXTURE]
-        d_x, d_y, d_z = lobes[i, 0] - x, lobes[i, 1] - y, lobes[i, 2] - z
-        normals += w * (d_x * d_x + d_y * d_y + d_z * d_z)
-        t_xx, t_yy, t_xy, _ = tensor_of(lobes, i, isotropic_base)
-        tensors += w * ((t_xx - xx) ** 2 + (t_yy - yy) ** 2 + 2.0 * (t_xy - xy) ** 2)
-        red, blue = lobes[i, SPECULAR], lobes[i, SPECULAR + 2]
-        r_w += red
-        b_w += blue
-        r_x += red * d_x
-        r_y += red * d_y
-        r_z += red * d_z
-        b_x += blue * d_x
-        b_y += blue * d_y
-        b_z += blue * d_z
-    c = normals / least
-    v = tensors / (least * least)
-    error = (_NORMALS + (_ANISOTROPY if isotropic_fit else 0.0)) * c * c + _TENSORS * v * v
-    # Green lies between or is as far off: what red and blue miss is counted for all three.
-    for offset, weight in (
-        (r_x * r_x + r_y * r_y + r_z * r_z, r_w),
-        (b_x * b_x + b_y * b_y + b_z * b_z, b_w),
-    ):
-        if weight > 1e-6 * total:
-            error += _CHANNELS * offset / (weight * weight * least)
-    return _SAFETY * error if math.isfinite(error) else 1e30
+        lobe = lobes[i]
+        w = r * lobe[SPECULAR] + g * lobe[SPECULAR + 1] + b * lobe[SPECULAR + 2]
+        scale = inverse / max(lobe[0] * x + lobe[1] * y + lobe[2] * z, 0.1)
+        t1 = scale * (lobe[0] * a_x + lobe[1] * a_y + lobe[2] * a_z)
+        t2 = scale * (lobe[1] * cos - lobe[0] * sin)
+        k = lobe[_LOG] - middle
+        t11, t12, t22, kk = t1 * t1, t1 * t2, t2 * t2, k * k
+        m1 += w * t1
+        m2 += w * t2
+        s11 += w * lobe[SPREAD]
+        s22 += w * lobe[SPREAD + 1]
+        s12 += w * lobe[SPREAD + 2]
+        squared = t11 + t22 + 0.25 * kk
+        fourth += w * squared * squared
+        work[0] += w * t11
+        work[1] += w * t12
+        work[2] += w * t22
+        work[3] += w * t1 * k
+        work[4] += w * t2 * k
+        work[5] += w * kk
+        work[6] += w * t11 * t1
+        work[7] += w * t11 * t2
+        work[8] += w * t12 * t2
+        work[9] += w * t22 * t2
+        work[10] += w * t11 * k
+        work[11] += w * t12 * k
+        work[12] += w * t22 * k
+        work[13] += w * t1 * kk
+        work[14] += w * t2 * kk
+        work[15] += w * kk * k
+    # SPREAD is twice the covariance within a sample's part of the footprint, in the frame of the pole's rotation.
+    half = 0.5 * inverse * inverse
+    within = half * (s11 + s22)
+    fourth = math.sqrt(fourth) + within
+    excess = _SAFETY * fourth**4
+    if excess > allowed:
+        return excess
+    work[0] += half * (cos * cos * s11 + 2.0 * cos * sin * s12 + sin * sin * s22)
+    work[1] += half * (cos * sin * (s22 - s11) + (cos * cos - sin * sin) * s12)
+    work[2] += half * (sin * sin * s11 - 2.0 * cos * sin * s12 + cos * cos * s22)
+    row = work[THIRD : THIRD + ROW]
+    if not _blend(response, 0.5 * middle, z, row):
+        return NOT_KNOWN
+    scale, d1, d2, size, stretch, shear = 0.0, m1, m2, middle, 0.0, 0.0
+    for m in range(THIRD):
+        k, at = work[m], m * ANSWERS
+        scale += k * row[at]
+        d1 += k * row[at + 1]
+        d2 += k * row[at + 2]
+        size += k * row[at + 3]
+        stretch += k * row[at + 4]
+        shear += k * row[at + 5]
+    error = 0.0
+    for m in range(SECOND):
+        for n in range(SECOND):
+            error += work[m] * work[n] * row[OFF_PLANE + m * SECOND + n]
+    n_x, n_y, n_z = x + alpha * (d1 * a_x - d2 * sin), y + alpha * (d1 * a_y + d2 * cos), z + alpha * d1 * a_z
+    # The stretch, from along the tilt to the axes of the pole's rotation.
+    c2, s2 = cos * cos - sin * sin, 2.0 * cos * sin
+    theta[0], theta[1] = -n_x / n_z, -n_y / n_z
+    theta[2], theta[3] = size + stretch * c2 - shear * s2, size - stretch * c2 + shear * s2
+    theta[4] = stretch * s2 + shear * c2
+    theta[PARAMETERS - 1] = lobes[0, SHAPE]
+    report[0], report[1], report[2] = red * (1.0 + scale), green * (1.0 + scale), blue * (1.0 + scale)
+    if not grey:
+        error += _own_scales(lobes, count, x, y, z, cos, sin, middle, inverse, m1, m2, norm, row, report)
+    report[3] = error
+    return excess

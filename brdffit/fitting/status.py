@@ -12,6 +12,7 @@ FALLBACK = 6
 NO_SPECULAR = 7
 CLOSED_FORM = 8
 NOT_REACHED = 9
+FEW_NODES = 10
 
 #: Name and what it means, with advice where there is any; the index is what ``Level.status`` holds.
 STATUSES: tuple[tuple[str, str], ...] = (
@@ -25,6 +26,7 @@ STATUSES: tuple[tuple[str, str], ...] = (
     ("no specular", "The footprint reflects nothing specularly; normal and roughness were fitted as if it were white."),
     ("closed form", "The closed-form lobe is within the tolerance that was asked for; nothing was searched."),
     ("not reached", "No pixel reads this level; its channels were averaged, each for itself."),
+    ("few nodes", "The search converged on fewer nodes than usual, which the tolerance that was asked for allows."),
 )
 
 STATUS_NAMES = tuple(name for name, _ in STATUSES)

@@ -24,11 +24,12 @@ from brdffit.fitting.scoring import (
     settle_scale,
     target_norm,
 )
-from brdffit.fitting.shortcuts import closed_form_error
+from brdffit.fitting.shortcuts import FLAT_EXCESS, NOT_KNOWN, closed_form, fitted_error
 from brdffit.fitting.status import (
     CLOSED_FORM,
     CONVERGED,
     FALLBACK,
+    FEW_NODES,
     FLAT,
     NO_SPECULAR,
     REFINED,
@@ -45,11 +46,12 @@ from brdffit.halfangle.closed_forms import (
     LEAN,
     PEAK,
     STARTS,
-    STEEPEST_SLOPE,
     first_start,
     footprint_moments,
     further_starts,
+    start_at_peak,
     widen_lobes,
+    widen_round_lobes,
 )
 from brdffit.halfangle.frame import eigen_log
 from brdffit.halfangle.objective import (
@@ -62,23 +64,16 @@ from brdffit.halfangle.objective import (
     evaluate,
 )
 from brdffit.halfangle.quadrature import (
-    BLUE,
-    GREEN,
-    H_X,
-    H_Y,
-    H_Z,
-    RED,
-    WEIGHT,
     place_nodes,
     weigh_nodes,
 )
+from brdffit.halfangle.response import Response
 
 real = np.float32
 
-# A mean spread below this (in units of the lobe's width) changes a lobe by less than 1%: the cheaper table will do.
-_NARROW_SPREAD = 0.01
-# The best lobe's error is about this share of the closed form's safe estimate.
-_FITTED_SHARE = 0.15
+# A mean spread below this (in units of the lobe's width) stretches lobes so little that round ones will do, whose table
+# is cheaper: an error of 1e-6.
+_NARROW_SPREAD = 0.002
 # A lobe is hidden from nodes that miss (or overrate) what they should see of it by this share.
 _HIDDEN, _LOST = 0.3, 0.6
 # Samples are many for a footprint that has so many strata more than it has.
@@ -100,8 +95,9 @@ class Search(NamedTuple):
     ``same_model``: base and pyramid share a lobe model; ``trusted``: largest disagreement of two half rules, as a share
     of the residual, that is not refined; ``negligible``: disagreement (relative squared error) that never is;
     ``crowd``: samples a stratum, in the mean, above which the first rule is passed over (16 strata count for twice as
-    many); ``floor``: relative squared error that each of a texel's shortcuts may cost; ``loss``: L2, RELATIVE or L1;
-    ``usual``: the rule that a texel starts with; ``few``: whether one with little error may start with the first.
+    many); ``floor``: relative squared error that few nodes, and an early stop, may cost a texel each; ``allowed``: that
+    the closed form may; ``loss``: L2, RELATIVE or L1; ``usual``: the rule that a texel starts with; ``response``: the
+    closed form's table.
     """
 
     free: int
@@ -120,9 +116,10 @@ class Search(NamedTuple):
     negligible: float
     crowd: int
     floor: float
+    allowed: float
     loss: int
     usual: int
-    few: bool
+    response: Response
 
 
 class Scratch(NamedTuple):
@@ -168,6 +165,13 @@ def clamp_to_domain(theta, search):
     theta[5] = min(max(theta[5], search.shape_low), search.shape_high)
 
 
+@inline
+def within_domain(theta, search):
+    """Whether the log eigenvalues are within their bounds."""
+    l1, l2, _, _ = eigen_log(theta[2], theta[3], theta[4])
+    return l1 <= search.log_high and l2 >= search.log_low
+
+
 @part
 def fit_texel(
     base, strata, column, row, search, scratch, rules,
@@ -184,15 +188,24 @@ def fit_texel(
         base, strata, search.step, column, row, lobes[: lobes.shape[0] - GUARDS], scratch.moment
     )
     red, green, blue, some = normalise_mixture(lobes, count)
+    for k in range(report.size):
+        report[k] = 0.0
+    expected = NOT_KNOWN
+    if search.allowed > 0.0 and some and base.isotropic:
+        expected = closed_form(
+            lobes, count, base.grey, red, green, blue, search.response, search.allowed, theta, report, scratch.work
+        )
+        if expected <= search.allowed and within_domain(theta, search):
+            return FLAT if expected <= FLAT_EXCESS else CLOSED_FORM
     isotropic = search.free & FREE_ANISOTROPY == 0
     lobes_isotropic = base.isotropic
     if spread > _NARROW_SPREAD:
-        widen_lobes(lobes, count, lobes_isotropic)
+        widen_lobes(lobes, count, lobes_isotropic, base.widening)
         lobes_isotropic = False
+    elif spread > 0.0 and lobes_isotropic:
+        widen_round_lobes(lobes, count, base.widening)
     flat = footprint_moments(lobes, count, lobes_isotropic, scratch.moments)
     first_start(scratch.moments, isotropic, scratch.starts)
-    for k in range(report.size):
-        report[k] = 0.0
     colour = scratch.colour
     colour[0], colour[1], colour[2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
     for k in range(3):
@@ -204,21 +217,15 @@ def fit_texel(
         scratch.best[p] = theta[p]
     if flat and search.same_model:
         return FLAT if some else NO_SPECULAR
-    expected, spare = 0.0, spared(search.floor, rules[0].points.shape[1])
-    if search.floor > 0.0:
-        expected = closed_form_error(lobes, count, lobes_isotropic, isotropic)
     clamp_to_domain(scratch.starts[LEAN], search)
     start = scratch.starts[LEAN]
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
     crowded = count > search.crowd * (_FEW_STRATA + strata.x.size * strata.y.size)
     tier = search.usual + 1 if crowded else search.usual
-    # What a tolerance allows: the closed form, or few nodes, where they cost less than it.
-    if search.floor > 0.0 and some and search.same_model:
-        if expected <= search.floor:
-            return CLOSED_FORM
-        if search.few and not crowded and _FITTED_SHARE * expected <= spare:
-            tier = 0
+    spare = spared(search.floor, rules[0].points.shape[1])
+    if not crowded and fitted_error(expected) <= spare:
+        tier = 0
     guards = 0
     while True:
         status = fit_by_rule(
@@ -234,7 +241,7 @@ def fit_texel(
                 scratch.starts[LEAN, p] = theta[p]
         if hidden and guards < GUARDS:
             if lobes_isotropic:
-                widen_lobes(lobes, count, lobes_isotropic)
+                widen_lobes(lobes, count, lobes_isotropic, base.widening)
                 lobes_isotropic = False
             add_guard(lobes, count, theta)
             count += 1
@@ -242,8 +249,8 @@ def fit_texel(
         elif not doubtful or tier == len(rules) - 1:
             break
         tier = min(tier + 1, len(rules) - 1)
-    if status == CONVERGED and tier > search.usual:
-        status = REFINED
+    if status == CONVERGED and tier != search.usual:
+        status = REFINED if tier > search.usual else FEW_NODES
     if abs(report[COVERAGE] - 1.0) > _LOST:
         # Still out of sight of its nodes: nothing that they say of it counts.
         status = FALLBACK
@@ -346,20 +353,6 @@ def fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, l
         report[RESIDUAL] = 1.0
         return FALLBACK
     return status
-
-
-@kernel
-def start_at_peak(nodes, start):
-    """The normal of ``start`` <- the node where the target is highest, unless that lies at the horizon."""
-    red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
-    top, highest = 0, real(0.0)
-    for j in range(nodes.shape[1]):
-        height = red[j] + green[j] + blue[j]
-        if height > highest and weight[j] > real(0.0):
-            highest = height
-            top = j
-    if nodes[H_Z, top] > 1.0 / STEEPEST_SLOPE:
-        start[0], start[1] = -nodes[H_X, top] / nodes[H_Z, top], -nodes[H_Y, top] / nodes[H_Z, top]
 
 
 @part

@@ -32,6 +32,7 @@ from brdffit.halfangle.patch import (
     wrapped,
 )
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, MIXTURE, NORMALISATION, SHAPE, SPECULAR, SPREAD, TENSOR
+from brdffit.models import get_model
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 
@@ -44,7 +45,7 @@ _GUARD_SHARE = 0.25
 
 
 class Base(NamedTuple):
-    """The base as kernels read it; arrays as in Svbrdf, ``perceptual`` (H, W) float32."""
+    """The base as kernels read it; arrays as in Svbrdf, ``perceptual`` (H, W) float32; ``widening`` as of its model."""
 
     normal: NDArray
     perceptual: NDArray
@@ -58,6 +59,7 @@ class Base(NamedTuple):
     has_diffuse: bool
     has_shape: bool
     tile: bool
+    widening: tuple[float, float, float] = (2.0, 2.0, 0.0)
 
 
 class Strata(NamedTuple):
@@ -105,6 +107,7 @@ def base_of(svbrdf: Svbrdf, default_shape: float = 0.0) -> Base:
         has_diffuse=bool(np.any(svbrdf.diffuse)),
         has_shape=svbrdf.shape is not None,
         tile=svbrdf.wrap == "tile",
+        widening=get_model(svbrdf.model).widening,
     )
 
 

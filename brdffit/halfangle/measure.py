@@ -91,7 +91,7 @@ def target_table(base, strata, points, column, row, exponent, lobes, nodes, work
     red, green, blue, some = normalise_mixture(lobes, count)
     isotropic = base.isotropic
     if spread > _NARROW_SPREAD:
-        widen_lobes(lobes, count, isotropic)
+        widen_lobes(lobes, count, isotropic, base.widening)
         isotropic = False
     closed_forms(lobes, count, isotropic, starts, False)
     add_defensive_lobe(

@@ -33,6 +33,9 @@ class Model:
         shape_bounds: (low, default, high) of the shape parameter s, or None where there is none.
         source: the paper.
         isotropic: whether the model knows only one roughness; its fits hold the tensor isotropic.
+        widening: what normals of covariance C do to the nearest sharp lobe of this model: log alpha^2 grows by the
+            first number times the mean of C (in units of alpha^2), log Sigma by the second times C's deviation from it,
+            the scale by the third power of the determinant's growth. (2, 2, 0) is that of a Gaussian peak.
     """
 
     name: str
@@ -43,6 +46,7 @@ class Model:
     source: str
     shape_bounds: tuple[float, float, float] | None = None
     isotropic: bool = False
+    widening: tuple[float, float, float] = (2.0, 2.0, 0.0)
 
     @property
     def default_shape(self) -> float:

@@ -42,5 +42,6 @@ MODEL = Model(
     profile=profile,
     profile_gradient=profile_gradient,
     log_normalisation=log_normalisation,
+    widening=(4.0, 3.0, 0.1),  # derived in brdffit.halfangle.response
     source="Walter et al., Microfacet Models for Refraction through Rough Surfaces, EGSR 2007",
 )

@@ -30,8 +30,9 @@ from hard_cases.known import pairs_of
 UNSEEN = 1e-3
 #: The issue's bound on what single precision may cost, in dB.
 PRECISION = 0.05
-#: A perturbation of this size may move the normal by so many degrees and log alpha^2 by so much (a tenth of a lobe's
-#: width: samples of cut strata may then be one more or less; Beckmann's peak beside wide lobes moves by 0.16).
+#: A perturbation of this size may move the normal by so many degrees, or by a tenth of the lobe's width (1% of the
+#: error), and log alpha^2 by so much: samples of cut strata may then be one more or less, and Beckmann's peak beside
+#: wide lobes moves by 0.16.
 PERTURBATION, DEGREES, LOG_TENSOR = 1e-4, 1.5, 0.2
 
 
@@ -148,7 +149,8 @@ def test_continuous(case, model):
     if not case.bistable:
         # From the chord: the arc cosine of nearly 1 would lose small angles.
         chord = np.linalg.norm(output.normal - moved.normal, axis=1)
-        assert np.degrees(2 * np.arcsin(0.5 * chord)).max() < DEGREES
+        width = np.exp(0.25 * (output.log_roughness[:, 0] + output.log_roughness[:, 1]))
+        assert (2 * np.arcsin(0.5 * chord) < np.maximum(np.radians(DEGREES), 0.1 * width)).all()
         np.testing.assert_allclose(moved.log_roughness, output.log_roughness, atol=LOG_TENSOR)
 
 
