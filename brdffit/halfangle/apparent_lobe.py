@@ -24,7 +24,10 @@ from brdffit.halfangle.patch import (
     edges,
     hash_of,
     in_one_patch,
+    leaned,
+    narrowed,
     narrowest,
+    slopes_of,
     spread_tensor,
     unit,
     weighed,
@@ -181,6 +184,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
     for k in range(9):
         diffuse_moment[k] = 0.0
     roughness, tensors = (0.0, 0.0, 0.0, 0.0), (none, none, none, none)
+    rough_x, rough_y = 0.0, 0.0
     mean_spread = 0.0
     count, wanted = 0, 0
     room = lobes.shape[0] - 1 - strata.x.size * strata.y.size
@@ -254,7 +258,9 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                     lobe[0], lobe[1], lobe[2] = n
                     if base.isotropic:
                         r = w[0] * roughness[0] + w[1] * roughness[1] + w[2] * roughness[2] + w[3] * roughness[3]
-                        lobe[ALPHA_SQUARED] = (r * r) * (r * r)
+                        rough_x, rough_y = slopes_of(roughness, fx, fy)
+                        rough_x, rough_y = rough_x / r, rough_y / r
+                        lobe[ALPHA_SQUARED] = (r * r) * (r * r) * narrowed(rough_x, rough_y, part_x, part_y)
                     else:
                         a, b, c = bilinear(tensors, w)
                         lobe[TENSOR], lobe[TENSOR + 1], lobe[TENSOR + 2] = tensor_of_log(a, b, c)
@@ -268,6 +274,9 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                     lobe[MIXTURE] = weight
                     lobe[SPREAD], lobe[SPREAD + 1], lobe[SPREAD + 2] = none
                     if spreads:
+                        if base.isotropic and rough_x * rough_x + rough_y * rough_y > 1e-4:
+                            lean_x, lean_y = -4.0 * part_x * part_x * rough_x, -4.0 * part_y * part_y * rough_y
+                            lobe[0], lobe[1], lobe[2] = leaned(n, length, normals, fx, fy, lean_x, lean_y)
                         xx, yy, xy = spread_tensor(n, normals, fx, fy, part_x / length, part_y / length)
                         lobe[SPREAD], lobe[SPREAD + 1], lobe[SPREAD + 2] = xx, yy, xy
                         mean_spread += weight * min((xx + yy) * inverse, 1.0)

@@ -155,6 +155,50 @@ def unit(n):
 
 
 @inline
+def slopes_of(four, fx, fy):
+    """Change of a number along x and y, from one texel of a patch to the next, at a point in it."""
+    a, b, c, d = four
+    return (1.0 - fy) * (b - a) + fy * (d - c), (1.0 - fx) * (c - a) + fx * (d - b)
+
+
+@inline
+def narrowed(by_x, by_y, size_x, size_y):
+    """Factor of alpha^2 where log perceptual roughness changes by so much across a part of a patch.
+
+    A variance v of log alpha^2 lowers that of the nearest lobe by v / 2 (brdffit.halfangle.response; so for a Gaussian
+    peak), and its mean lies v / 8 below the middle's, for roughness is linear and log alpha^2 = 4 log r is concave.
+    """
+    v = 16.0 / 12.0 * (size_x * size_x * by_x * by_x + size_y * size_y * by_y * by_y)
+    return 1.0 / (1.0 + 0.625 * v)
+
+
+@inline
+def leaned(n, length, normals, fx, fy, weight_x, weight_y):
+    """A sample's unit normal, towards where its part of the patch reflects more sharply.
+
+    Where normals and log alpha^2 (or the log of a weight) vary together, the normal of the nearest lobe moves by their
+    covariance, away from the rougher ones (brdffit.halfangle.response; so for a Gaussian peak). ``weight_x``, ``_y``:
+    change of the log weight less that of log alpha^2 along each axis, times the squared size of the part.
+    """
+    a, b, c, d = normals
+    scale = 1.0 / (12.0 * length)
+    p, q, r, s = (
+        (1.0 - fy) * weight_x * scale,
+        fy * weight_x * scale,
+        (1.0 - fx) * weight_y * scale,
+        fx * weight_y * scale,
+    )
+    moved, _ = unit(
+        (
+            n[0] + p * (b[0] - a[0]) + q * (d[0] - c[0]) + r * (c[0] - a[0]) + s * (d[0] - b[0]),
+            n[1] + p * (b[1] - a[1]) + q * (d[1] - c[1]) + r * (c[1] - a[1]) + s * (d[1] - b[1]),
+            n[2] + p * (b[2] - a[2]) + q * (d[2] - c[2]) + r * (c[2] - a[2]) + s * (d[2] - b[2]),
+        )
+    )
+    return moved
+
+
+@inline
 def spread_tensor(n, normals, fx, fy, size_x, size_y):
     """What the spread of normals across a part of a patch (its edges in texels) adds to a lobe's tensor: (xx, yy, xy).
 
