@@ -21,6 +21,7 @@ from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, LEAN, STARTS, closed
 from brdffit.halfangle.measure import measure_lobes
 from brdffit.halfangle.quadrature import (
     ALPHA_SQUARED,
+    GAIN,
     GREEN,
     LOBE_COLUMNS,
     MIXTURE,
@@ -70,7 +71,7 @@ def lobes_of(name, anisotropic=False):
         else:
             lobes[i, ALPHA_SQUARED] = alphas[i] ** 2
         lobes[i, SPECULAR : SPECULAR + 3] = np.multiply(weights[i], (1.0, 0.5, 0.2))
-        lobes[i, MIXTURE] = weights[i]
+        lobes[i, MIXTURE], lobes[i, GAIN] = weights[i], 1.0
     return lobes, count
 
 

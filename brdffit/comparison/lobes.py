@@ -14,6 +14,7 @@ from brdffit.halfangle.closed_forms import widen_lobes
 from brdffit.halfangle.measure import DENSE_ROOM, DENSE_STEP, dense_strata
 from brdffit.halfangle.quadrature import (
     BLUE,
+    GAIN,
     H_X,
     H_Z,
     LOBE_COLUMNS,
@@ -147,7 +148,7 @@ def _own_lobe(level: Svbrdf, texel: tuple[int, int]) -> NDArray:
     lobe[0, TENSOR : TENSOR + 3] = tensor_from_log(level.log_roughness[row, column])
     lobe[0, SHAPE] = model_of(level.model).default_shape if level.shape is None else level.shape[row, column]
     lobe[0, SPECULAR : SPECULAR + 3] = level.specular[row, column]
-    lobe[0, MIXTURE] = 1.0
+    lobe[0, MIXTURE] = lobe[0, GAIN] = 1.0
     return lobe
 
 
@@ -197,7 +198,8 @@ def _values(lobes: NDArray, model_name: str, x: NDArray, y: NDArray) -> NDArray:
     # The defensive lobe, of no weight.
     table[-1, 2] = table[-1, TENSOR] = table[-1, TENSOR + 1] = 1.0
     shapes, which = np.unique(table[:, SHAPE], return_inverse=True)
-    table[:, NORMALISATION] = np.exp([model.log_normalisation(float(shape))[0] for shape in shapes])[which]
+    constants = np.exp([model.log_normalisation(float(shape))[0] for shape in shapes])[which]
+    table[:, NORMALISATION] = constants * table[:, GAIN]
     table[-1, SPECULAR : SPECULAR + 3] = table[-1, MIXTURE] = 0.0
     model_kernels(model_name, model_name).tabulate(table, len(lobes), False, False, nodes, np.zeros(64))
     values = np.einsum("c,cn->n", LUMINANCE, nodes[RED : BLUE + 1]).reshape(x.shape)

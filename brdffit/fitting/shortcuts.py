@@ -12,7 +12,7 @@ import math
 from brdffit._jit import inline, kernel
 from brdffit.halfangle.closed_forms import STEEPEST_SLOPE
 from brdffit.halfangle.objective import PARAMETERS
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, NORMALISATION, SHAPE, SPECULAR, SPREAD
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, NORMALISATION, SHAPE, SPECULAR, SPREAD
 from brdffit.halfangle.response import ANSWERS, BY_FIRST, OFF_PLANE, OFF_SCALE, ROW, SECOND, THIRD
 
 _SAFETY = 1.5
@@ -77,7 +77,7 @@ def _own_scales(lobes, count, x, y, z, cos, sin, middle, inverse, m1, m2, norm, 
 
 
 @kernel
-def closed_form(lobes, count, grey, red, green, blue, response, allowed, theta, report, work):
+def closed_form(lobes, count, grey, held, red, green, blue, response, allowed, theta, report, work):
     """The lobe that answers to the footprint's moments, if it is within ``allowed`` of the best; returns its excess.
 
     Lobes are isotropic and of one shape, not widened; SPECULAR columns sum to (red, green, blue). Where the estimate
@@ -89,7 +89,7 @@ def closed_form(lobes, count, grey, red, green, blue, response, allowed, theta, 
     if not norm > 0.0:
         return NOT_KNOWN
     r, g, b = red / norm, green / norm, blue / norm
-    x, y, z, middle = 0.0, 0.0, 0.0, 0.0
+    x, y, z, middle, gain = 0.0, 0.0, 0.0, 0.0, 0.0
     last, log = -1.0, 0.0
     for i in range(count):
         lobe = lobes[i]
@@ -104,6 +104,7 @@ def closed_form(lobes, count, grey, red, green, blue, response, allowed, theta, 
         y += w * lobe[1]
         z += w * lobe[2]
         middle += w * log
+        gain += w * lobe[GAIN]
     length = math.sqrt(x * x + y * y + z * z)
     x, y, z = x / length, y / length, z / length
     if z < 1.0 / STEEPEST_SLOPE:
@@ -182,7 +183,8 @@ def closed_form(lobes, count, grey, red, green, blue, response, allowed, theta, 
     theta[2], theta[3] = size + stretch * c2 - shear * s2, size - stretch * c2 + shear * s2
     theta[4] = stretch * s2 + shear * c2
     theta[PARAMETERS - 1] = lobes[0, SHAPE]
-    report[0], report[1], report[2] = red * (1.0 + scale), green * (1.0 + scale), blue * (1.0 + scale)
+    scale = 1.0 if held else gain + scale
+    report[0], report[1], report[2] = red * scale, green * scale, blue * scale
     if not grey:
         error += _own_scales(lobes, count, x, y, z, cos, sin, middle, inverse, m1, m2, norm, row, report)
     report[3] = error

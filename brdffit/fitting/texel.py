@@ -193,7 +193,18 @@ def fit_texel(
     expected = NOT_KNOWN
     if search.allowed > 0.0 and some and base.isotropic:
         expected = closed_form(
-            lobes, count, base.grey, red, green, blue, search.response, search.allowed, theta, report, scratch.work
+            lobes,
+            count,
+            base.grey,
+            search.held,
+            red,
+            green,
+            blue,
+            search.response,
+            search.allowed,
+            theta,
+            report,
+            scratch.work,
         )
         if expected <= search.allowed and within_domain(theta, search):
             return FLAT if expected <= FLAT_EXCESS else CLOSED_FORM

@@ -34,7 +34,7 @@ from brdffit.halfangle.patch import (
     weights_of,
     wrapped,
 )
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, MIXTURE, NORMALISATION, SHAPE, SPECULAR, SPREAD, TENSOR
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, MIXTURE, NORMALISATION, SHAPE, SPECULAR, SPREAD, TENSOR
 from brdffit.models import get_model
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
@@ -184,7 +184,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
     for k in range(9):
         diffuse_moment[k] = 0.0
     roughness, tensors = (0.0, 0.0, 0.0, 0.0), (none, none, none, none)
-    rough_x, rough_y = 0.0, 0.0
+    rough_x, rough_y, gain = 0.0, 0.0, 1.0
     mean_spread = 0.0
     count, wanted = 0, 0
     room = lobes.shape[0] - 1 - strata.x.size * strata.y.size
@@ -260,7 +260,8 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                         r = w[0] * roughness[0] + w[1] * roughness[1] + w[2] * roughness[2] + w[3] * roughness[3]
                         rough_x, rough_y = slopes_of(roughness, fx, fy)
                         rough_x, rough_y = rough_x / r, rough_y / r
-                        lobe[ALPHA_SQUARED] = (r * r) * (r * r) * narrowed(rough_x, rough_y, part_x, part_y)
+                        narrower, gain = narrowed(rough_x, rough_y, part_x, part_y)
+                        lobe[ALPHA_SQUARED] = (r * r) * (r * r) * narrower
                     else:
                         a, b, c = bilinear(tensors, w)
                         lobe[TENSOR], lobe[TENSOR + 1], lobe[TENSOR + 2] = tensor_of_log(a, b, c)
@@ -271,7 +272,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                     colour = bilinear(colours, w)
                     lobe[SPECULAR], lobe[SPECULAR + 1] = weight * colour[0], weight * colour[1]
                     lobe[SPECULAR + 2] = weight * colour[2]
-                    lobe[MIXTURE] = weight
+                    lobe[MIXTURE], lobe[GAIN] = weight, gain
                     lobe[SPREAD], lobe[SPREAD + 1], lobe[SPREAD + 2] = none
                     if spreads:
                         if base.isotropic and rough_x * rough_x + rough_y * rough_y > 1e-4:
@@ -352,9 +353,9 @@ def add_guard(lobes, count, theta):
 
 @kernel
 def normalise_shapes(lobes, count, has_shape, log_normalisation):
-    """NORMALISATION <- K(shape) of every lobe; one value serves all where the base has no shape of its own."""
+    """NORMALISATION <- K(shape) times GAIN of every lobe; one K serves all where the base has no shape of its own."""
     k = math.exp(log_normalisation(lobes[0, SHAPE])[0])
     for i in range(count):
         if has_shape:
             k = math.exp(log_normalisation(lobes[i, SHAPE])[0])
-        lobes[i, NORMALISATION] = k
+        lobes[i, NORMALISATION] = k * lobes[i, GAIN]

@@ -12,6 +12,7 @@ from brdffit.halfangle.objective import PARAMETERS
 from brdffit.halfangle.quadrature import (
     ALPHA_SQUARED,
     BLUE,
+    GAIN,
     GREEN,
     H_X,
     H_Y,
@@ -19,7 +20,6 @@ from brdffit.halfangle.quadrature import (
     MIXTURE,
     RED,
     SHAPE,
-    SPECULAR,
     SPREAD,
     TENSOR,
     WEIGHT,
@@ -223,9 +223,7 @@ def widen_lobes(lobes, count, isotropic, widening):
         lobes[i, TENSOR], lobes[i, TENSOR + 1], lobes[i, TENSOR + 2] = xx, yy, xy
         if gain > 0.0 and trace > 0.0:
             log = gain * math.log(max((xx * yy - xy * xy) / before, 1.0))
-            scale = _short_exp(log / (1.0 + 1.5 * log))
-            for k in range(3):
-                lobes[i, SPECULAR + k] *= scale
+            lobes[i, GAIN] *= _short_exp(log / (1.0 + 1.5 * log))
 
 
 @kernel
@@ -236,5 +234,4 @@ def widen_round_lobes(lobes, count, widening):
         # Twice the mean variance, in units of alpha^2.
         spread = 0.5 * (lobes[i, SPREAD] + lobes[i, SPREAD + 1]) / lobes[i, ALPHA_SQUARED]
         lobes[i, ALPHA_SQUARED] *= 1.0 + 0.5 * size * spread
-        for k in range(3):
-            lobes[i, SPECULAR + k] *= 1.0 + size * gain * spread
+        lobes[i, GAIN] *= 1.0 + size * gain * spread

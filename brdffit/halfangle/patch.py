@@ -163,13 +163,15 @@ def slopes_of(four, fx, fy):
 
 @inline
 def narrowed(by_x, by_y, size_x, size_y):
-    """Factor of alpha^2 where log perceptual roughness changes by so much across a part of a patch.
+    """Factors of alpha^2 and of the scale where log perceptual roughness changes by so much across a part of a patch.
 
-    A variance v of log alpha^2 lowers that of the nearest lobe by v / 2 (brdffit.halfangle.response; so for a Gaussian
-    peak), and its mean lies v / 8 below the middle's, for roughness is linear and log alpha^2 = 4 log r is concave.
+    A variance v of log alpha^2 lowers that of the nearest lobe by v / 2 and its scale by v / 5 (derived in
+    brdffit.halfangle.response; for a Gaussian peak v / 2 and v / 4), and the mean of log alpha^2 lies v / 8 below the
+    middle's, for roughness is linear and log alpha^2 = 4 log r is concave.
     """
     v = 16.0 / 12.0 * (size_x * size_x * by_x * by_x + size_y * size_y * by_y * by_y)
-    return 1.0 / (1.0 + 0.625 * v)
+    narrower = 1.0 / (1.0 + 0.625 * v)
+    return narrower, 1.0 - 0.32 * (1.0 - narrower)
 
 
 @inline
