@@ -27,25 +27,25 @@ from brdffit.tradeoff.ways import fixed_nodes
 MOMENT_FLOP = 65
 # A base lobe at a node: 5 for the chord, 6 for sin^2, cos, q and C, 3 for GGX, 5 for the sums (grey, isotropic).
 TABLE_FLOP = 19
-_NODES, _ACCUMULATORS = 512, 256
+_NODES = 512
+_LANES, _CHAIN = 64, 16
 KERNEL_SHARE, BAKE_SHARE = 0.30, 0.15
 _SLOWER = 2.0
 
 
 @kernel
-def _multiply_add(x, rounds):
-    """Chains of a = a * m + c, independent of each other: as many as the registers hold, and none waits for memory."""
-    m, c = np.float32(0.999), np.float32(1e-3)
+def _multiply_add(x, rounds, m, c):
+    """Chains of a = a * m + c, eight rows of ``x`` (8, lanes) at a time: none waits for another, few for memory.
+
+    m and c are arguments, for a compiler that knew them would fold a chain into one multiply-add.
+    """
     for _ in range(rounds):
-        for i in range(x.size):
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
+        for i in range(x.shape[1]):
+            p, q, r, s, t, u, v, w = x[0, i], x[1, i], x[2, i], x[3, i], x[4, i], x[5, i], x[6, i], x[7, i]
+            for _ in range(_CHAIN):
+                p, q, r, s = p * m + c, q * m + c, r * m + c, s * m + c
+                t, u, v, w = t * m + c, u * m + c, v * m + c, w * m + c
+            x[0, i], x[1, i], x[2, i], x[3, i], x[4, i], x[5, i], x[6, i], x[7, i] = p, q, r, s, t, u, v, w
 
 
 def measure_roofline(materials: Path, quick: bool) -> Section:
@@ -104,15 +104,16 @@ def _best(work, repeats: int = 5) -> float:  # type: ignore[no-untyped-def]
 
 
 def _peak(threads: int) -> float:
-    rounds = 200_000
-    chains = [np.ones(_ACCUMULATORS, np.float32) for _ in range(threads)]
-    _multiply_add(chains[0], 1)
+    rounds = 20_000
+    chains = [np.ones((8, _LANES), np.float32) for _ in range(threads)]
+    factor, summand = np.float32(0.999), np.float32(1e-3)
+    _multiply_add(chains[0], 1, factor, summand)
 
     def work() -> None:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda x: _multiply_add(x, rounds), chains))
+            list(pool.map(lambda x: _multiply_add(x, rounds, factor, summand), chains))
 
-    return threads * rounds * _ACCUMULATORS * 16 / _best(work)
+    return threads * rounds * chains[0].size * _CHAIN * 2 / _best(work)
 
 
 def _moments(model: str) -> float:
