@@ -35,6 +35,7 @@ import numpy as np
 from brdffit._jit import inline, kernel, types
 from brdffit.halfangle.frame import lobe_frame, tangent_frame
 from brdffit.halfangle.quadrature import H_X, H_Y, H_Z, HORIZON, WEIGHT
+from brdffit.models.elementary import align_stack, product
 from brdffit.models.ggx import profile, profile_gradient  # bound anew for other models
 
 real = np.float32
@@ -59,6 +60,7 @@ def moments(nodes, frame, shape, out):
     Without TURNS the sums with c are 0; without STRETCHES, for a round lobe, u1 u1 stands for u1 u1 + u2 u2, and so the
     gradient by a for that by a and b together, which then is 0.
     """
+    align_stack()
     h_x, h_y, h_z, weight, target = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT], nodes[TARGET]
     u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
     v_x, v_y, v_z = real(frame[3]), real(frame[4]), real(frame[5])
@@ -75,10 +77,11 @@ def moments(nodes, frame, shape, out):
             # The lobe ends at its own horizon: g(q, C) would go on as a mirror image behind it.
             x = min(max(c * real(1.0 / RIM), real(0.0)), real(1.0))
             fade = x * x * (real(3.0) - x - x)
-            g_C = g_C * fade + (g * real(3.0 / (RIM * RIM)) * (real(1.0) - x) if c > real(0.0) else real(0.0))
+            fall = real(3.0 / (RIM * RIM)) * (real(1.0) - x) if c > real(0.0) else real(0.0)
+            g_C = g_C * fade + g * fall
             g *= fade
             g_q *= fade
-            g_s *= fade
+            g_s = product(g_s, fade)
         wd = weight[j] * g
         t0 += target[j] * g
         d0 += wd * g
@@ -107,8 +110,8 @@ def moments(nodes, frame, shape, out):
             d5 += dq * vc
             d6 += dC * uc
             d7 += dC * vc
-        t8 += target[j] * g_s
-        d8 += wd * g_s
+        t8 += product(target[j], g_s)
+        d8 += product(wd, g_s)
     out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7], out[8] = t0, t1, t2, t3, t4, t5, t6, t7, t8
     out[9], out[10], out[11], out[12], out[13], out[14], out[15], out[16], out[17] = d0, d1, d2, d3, d4, d5, d6, d7, d8
 
