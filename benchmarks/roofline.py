@@ -17,6 +17,7 @@ from brdffit.fitting.presets import get_quality
 from brdffit.fitting.sampling import LevelSample
 from brdffit.halfangle.apparent_lobe import gather_lobes
 from brdffit.halfangle.measure import random_texels
+from brdffit.halfangle.objective import MOMENTS
 from brdffit.halfangle.quadrature import LOBE_COLUMNS, NODE_ROWS
 from brdffit.models import model_names
 from brdffit.svbrdf import level_sizes
@@ -120,7 +121,7 @@ def _moments(model: str) -> float:
     """Nodes a second of value and gradient."""
     kernels = model_kernels(model, model)
     nodes = np.random.default_rng(0).uniform(0.1, 1.0, (NODE_ROWS, _NODES)).astype(np.float32)
-    frame, out = np.array([2.0, 0, 0, 0, 2.0, 0, 0, 0, 1.0]), np.zeros(18)
+    frame, out = np.array([2.0, 0, 0, 0, 2.0, 0, 0, 0, 1.0]), np.zeros(MOMENTS)
     calls = 20_000
 
     repeat = _repeat_moments(kernels.moments, nodes, frame, out)

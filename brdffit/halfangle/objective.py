@@ -46,16 +46,16 @@ TURNS = STRETCHES = True
 RIM = 0.05
 
 PARAMETERS = 6
-MOMENTS = 18
+MOMENTS = 14
 # The scalar target, times the weight, stands in the row that held the mixture density (no longer needed by then).
 TARGET = 6
 
 
 @kernel
 def moments(nodes, frame, shape, out):
-    """Sums over the nodes, for the target (out[0:9], weight W S) and the lobe itself (out[9:18], weight 2 W g):
-    value, then q-derivative times (u1 u1, u1 u2, u2 u2, u1 c, u2 c), C-derivative times (u1 c, u2 c), s-derivative.
-    out[9] is sum W g^2 (no factor 2).
+    """Sums over the nodes, for the target (out[0:7], weight W S) and the lobe itself (out[7:14], weight 2 W g):
+    value, then q-derivative times (u1 u1, u1 u2, u2 u2), then what a turn of the normal reads, u_i c times the
+    q-derivative less exp(l_i) times the C-derivative, for i = 1, 2; s-derivative. out[7] is sum W g^2 (no factor 2).
 
     Without TURNS the sums with c are 0; without STRETCHES, for a round lobe, u1 u1 stands for u1 u1 + u2 u2, and so the
     gradient by a for that by a and b together, which then is 0.
@@ -65,9 +65,11 @@ def moments(nodes, frame, shape, out):
     u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
     v_x, v_y, v_z = real(frame[3]), real(frame[4]), real(frame[5])
     n_x, n_y, n_z = real(frame[6]), real(frame[7]), real(frame[8])
+    square1 = real(1.0) / (u_x * u_x + u_y * u_y + u_z * u_z)
+    square2 = real(1.0) / (v_x * v_x + v_y * v_y + v_z * v_z)
     z = real(0.0)
-    t0, t1, t2, t3, t4, t5, t6, t7, t8 = z, z, z, z, z, z, z, z, z
-    d0, d1, d2, d3, d4, d5, d6, d7, d8 = z, z, z, z, z, z, z, z, z
+    t0, t1, t2, t3, t4, t5, t6 = z, z, z, z, z, z, z
+    d0, d1, d2, d3, d4, d5, d6 = z, z, z, z, z, z, z
     for j in range(nodes.shape[1]):
         u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
         v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
@@ -85,7 +87,6 @@ def moments(nodes, frame, shape, out):
         wd = weight[j] * g
         t0 += target[j] * g
         d0 += wd * g
-        wd = wd + wd
         tq, dq = target[j] * g_q, wd * g_q
         uu, vv = u * u, v * v
         if STRETCHES:
@@ -100,20 +101,15 @@ def moments(nodes, frame, shape, out):
             t1 += tq * (uu + vv)
             d1 += dq * (uu + vv)
         if TURNS:
-            tC, dC = target[j] * g_C, wd * g_C
-            uc, vc = u * c, v * c
-            t4 += tq * uc
-            t5 += tq * vc
-            t6 += tC * uc
-            t7 += tC * vc
-            d4 += dq * uc
-            d5 += dq * vc
-            d6 += dC * uc
-            d7 += dC * vc
-        t8 += product(target[j], g_s)
-        d8 += product(wd, g_s)
-    out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7], out[8] = t0, t1, t2, t3, t4, t5, t6, t7, t8
-    out[9], out[10], out[11], out[12], out[13], out[14], out[15], out[16], out[17] = d0, d1, d2, d3, d4, d5, d6, d7, d8
+            uc, vc = u * c * (g_q - square1 * g_C), v * c * (g_q - square2 * g_C)
+            t4 += target[j] * uc
+            t5 += target[j] * vc
+            d4 += wd * uc
+            d5 += wd * vc
+        t6 += product(target[j], g_s)
+        d6 += product(wd, g_s)
+    out[0], out[1], out[2], out[3], out[4], out[5], out[6] = t0, t1, t2, t3, t4, t5, t6
+    out[7], out[8], out[9], out[10], out[11], out[12], out[13] = d0, 2 * d1, 2 * d2, 2 * d3, 2 * d4, 2 * d5, 2 * d6
 
 
 def moments_type(floats):  # type: ignore[no-untyped-def]
@@ -153,10 +149,10 @@ def lobe_values_type(floats):  # type: ignore[no-untyped-def]
 
 @inline
 def _chain(m, amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient):
-    """Gradient of amplitude * sum(...) by theta, amplitude held, from the nine moments m (9,)."""
+    """Gradient of amplitude * sum(...) by theta, amplitude held, from the seven moments m (7,)."""
     twist = -4.0 * sinh * m[2]
-    along1 = 2.0 * (m[4] / e1 - m[6] * e1)
-    along2 = 2.0 * (m[5] / e2 - m[7] * e2)
+    along1 = 2.0 * m[4] / e1
+    along2 = 2.0 * m[5] / e2
     for k in range(2):
         w12, w13, w23 = rotation[3 * k], rotation[3 * k + 1], rotation[3 * k + 2]
         g1, g2 = cos * w13 + sin * w23, cos * w23 - sin * w13
@@ -166,7 +162,7 @@ def _chain(m, amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient):
     gradient[2] = -amplitude * (cos * cos * m[1] - cs * cross + sin * sin * m[3])
     gradient[3] = -amplitude * (sin * sin * m[1] + cs * cross + cos * cos * m[3])
     gradient[4] = -amplitude * (2.0 * cs * (m[1] - m[3]) + (cos * cos - sin * sin) * cross)
-    gradient[5] = amplitude * m[8]
+    gradient[5] = amplitude * m[6]
 
 
 @inline
@@ -206,7 +202,7 @@ def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient,
     ``gradient`` (6,) is written; ``work`` (48,) is scratch, of which work[0] and work[1] hold TD and DD on return.
     Walls keep log eigenvalues and shape within their bounds.
     """
-    rotation, frame, sums, other = work[2:8], work[8:17], work[17:35], work[35:41]
+    rotation, frame, sums, other = work[2:8], work[8:17], work[17:31], work[31:37]
     n_x, n_y, n_z = frame_rotation(theta[0], theta[1], rotation)
     l1, l2, cos, sin = lobe_frame(n_x, n_y, n_z, theta[2], theta[3], theta[4], frame)
     log_k, log_k_slope = log_normalisation(theta[5])
@@ -218,10 +214,10 @@ def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient,
     kappa = sinh / delta if delta > 1e-4 else 1.0
     moments_kernel(nodes, frame, real(theta[5]), sums)
     td = amplitude * sums[0]
-    dd = amplitude * amplitude * sums[9]
+    dd = amplitude * amplitude * sums[7]
     work[0], work[1] = td, dd
-    _chain(sums[0:9], amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient)
-    _chain(sums[9:18], amplitude * amplitude, rotation, e1, e2, cos, sin, kappa, sinh, other)
+    _chain(sums[0:7], amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient)
+    _chain(sums[7:14], amplitude * amplitude, rotation, e1, e2, cos, sin, kappa, sinh, other)
     # The amplitude's own derivative: d log A = -(da + db)/2 + d log K.
     for k in range(2, 4):
         gradient[k] -= 0.5 * td
