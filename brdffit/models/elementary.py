@@ -46,6 +46,19 @@ def product(typingctx, x, y):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
+def alternate(typingctx, x, j):  # type: ignore[no-untyped-def]
+    """x for an even index j, -x for an odd one, by the last bit of j."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        bits, integer = _layout(args[0].type)
+        index = builder.trunc(args[1], integer) if bits == 23 else args[1]
+        sign = builder.shl(index, ir.Constant(integer, integer.width - 1))
+        return builder.bitcast(builder.xor(builder.bitcast(args[0], integer), sign), args[0].type)
+
+    return x(x, types.int64), codegen
+
+
+@intrinsic
 def align_stack(typingctx):  # type: ignore[no-untyped-def]
     """Let the stack of the calling function begin at a cache line: a loop that has more numbers than registers reads
     whole vectors from there, and each would lie across two lines."""
