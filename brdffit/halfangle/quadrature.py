@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from brdffit._jit import kernel, types
 from brdffit.halfangle.density import half_angle_density
 from brdffit.halfangle.frame import half_powers, tangent_frame
+from brdffit.models.elementary import inverse_root
 from brdffit.models.ggx import profile  # bound anew for other source models
 from brdffit.models.ggx import profile as ggx_profile
 
@@ -95,7 +96,9 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
         u_x, u_y, u_z = real(xx * t_x + xy * b_x), real(xx * t_y + xy * b_y), real(xx * t_z + xy * b_z)
         v_x, v_y, v_z = real(xy * t_x + yy * b_x), real(xy * t_y + yy * b_y), real(xy * t_z + yy * b_z)
         n_x, n_y, n_z = real(lobes[i, 0]), real(lobes[i, 1]), real(lobes[i, 2])
-        for j in range(first, last):
+        # In whole vectors: what is written beyond the last node the next lobe writes anew. An index without a sign needs
+        # no care of what lies before the first, and so the loop vectorises.
+        for j in range(np.uint64(first), np.uint64(min(first + (last - first + 15) // 16 * 16, size))):
             h_x[j] = along[j] * u_x + across[j] * v_x + n_x
             h_y[j] = along[j] * u_y + across[j] * v_y + n_y
             h_z[j] = along[j] * u_z + across[j] * v_z + n_z
@@ -103,16 +106,14 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
     share = real(half_angle_density(1.0, exponent) / size)
     cubic = exponent == 3
     for j in range(size):
-        scale = real(1.0) / np.sqrt(h_x[j] * h_x[j] + h_y[j] * h_y[j] + h_z[j] * h_z[j])
+        scale = inverse_root(h_x[j] * h_x[j] + h_y[j] * h_y[j] + h_z[j] * h_z[j])
         z = h_z[j] * scale
         h_x[j] *= scale
         h_y[j] *= scale
         h_z[j] = z
         up = max(z, real(0.0))
         weight[j] = share * (up * up * up if cubic else up)
-    for row in range(RED, DENSITY + 1):
-        for j in range(size):
-            nodes[row, j] = real(0.0)
+    nodes[RED : DENSITY + 1] = real(0.0)
 
 
 @kernel

@@ -36,6 +36,19 @@ def reciprocal(typingctx, x):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
+def inverse_root(typingctx, x):  # type: ignore[no-untyped-def]
+    """1 / sqrt(x) for finite x > 0, as ``reciprocal``: the estimate and one step of Newton in a loop over float32."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        root = builder.module.declare_intrinsic("llvm.sqrt", [args[0].type])
+        flags = ("afn", "ninf", *_FAST)
+        one = ir.Constant(args[0].type, 1.0)
+        return builder.fdiv(one, builder.call(root, [args[0]], fastmath=flags), flags=flags)
+
+    return x(x), codegen
+
+
+@intrinsic
 def product(typingctx, x, y):  # type: ignore[no-untyped-def]
     """x * y for numbers, so that what is multiplied with a constant 0 is no work at all."""
 
