@@ -24,8 +24,8 @@ from brdffit.svbrdf import level_sizes
 from brdffit.tradeoff.ways import fixed_nodes
 
 # Operations a node, an exponential or a division counted as one. Moments: 15 for u, v and c; 3 + 1 for q and C; 5 for
-# GGX and its derivatives; 36 for the products and sums of the target and of the lobe; 5 products shared by both.
-MOMENT_FLOP = 65
+# GGX and its derivatives; 12 for products of these and of the weights; 24 for the sums of the target and of the lobe.
+MOMENT_FLOP = 60
 # A base lobe at a node: 5 for the chord, 6 for sin^2, cos, q and C, 3 for GGX, 5 for the sums (grey, isotropic).
 TABLE_FLOP = 19
 _NODES = 512
