@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -30,8 +31,12 @@ MOMENT_FLOP = 60
 TABLE_FLOP = 19
 _NODES = 512
 _LANES, _CHAIN = 64, 16
+_TURNS = 60
 KERNEL_SHARE, BAKE_SHARE = 0.30, 0.15
 _SLOWER = 2.0
+
+#: Something to time, and its operations.
+Job = tuple[Callable[[], object], float]
 
 
 @kernel
@@ -59,14 +64,11 @@ def measure_roofline(materials: Path, quick: bool) -> Section:
         f"down for every model, so its column of shares compares times). Bake: {MOMENT_FLOP} a node and evaluation and "
         f"{TABLE_FLOP} a lobe and node, over the time of everything else too. Kernels on one thread, the bake on all.",
     )
-    single, full = _peak(1), _peak(os.cpu_count() or 1)
-    section.rows.append(_row("peak, one thread", single, 1.0))
+    names = {f"moments, {name}": _moments(name) for name in model_names()}
+    rates = _rates({"peak, one thread": _peak_work(), **names, "table, ggx": _table()})
+    single, full = rates["peak, one thread"], _peak(os.cpu_count() or 1)
     section.rows.append(_row("peak, all threads", full, 1.0))
-    nodes_a_second = {name: _moments(name) for name in model_names()}
-    for name, rate in nodes_a_second.items():
-        section.rows.append(_row(f"moments, {name}", MOMENT_FLOP * rate, MOMENT_FLOP * rate / single))
-    table = _table()
-    section.rows.append(_row("table, ggx", TABLE_FLOP * table, TABLE_FLOP * table / single))
+    section.rows += [_row(what, rate, rate / single) for what, rate in rates.items()]
     shares = []
     real = real_sets(materials)
     for name in ["hammered-metal", *([] if quick else [each for each in NAMED[:2] if each in real])]:
@@ -78,9 +80,9 @@ def measure_roofline(materials: Path, quick: bool) -> Section:
             flop_rate = _bake(svbrdf, mip_level)
             shares.append(flop_rate / full)
             section.rows.append(_row(f"bake, {name}, level {mip_level}", flop_rate, flop_rate / full))
-    ggx = MOMENT_FLOP * nodes_a_second["ggx"] / single
-    slowest = min(nodes_a_second, key=lambda name: nodes_a_second[name])
-    ratio = nodes_a_second["ggx"] / nodes_a_second[slowest]
+    ggx = rates["moments, ggx"] / single
+    slowest = min(model_names(), key=lambda name: rates[f"moments, {name}"])
+    ratio = rates["moments, ggx"] / rates[f"moments, {slowest}"]
     section.targets = [
         Target("moments of GGX, share of the peak", f">= {KERNEL_SHARE}", f"{ggx:.2f}", ggx >= KERNEL_SHARE),
         Target("bake, share of the peak", f">= {BAKE_SHARE}", f"worst {min(shares, default=0):.3f}",
@@ -117,15 +119,31 @@ def _peak(threads: int) -> float:
     return threads * rounds * chains[0].size * _CHAIN * 2 / _best(work)
 
 
-def _moments(model: str) -> float:
-    """Nodes a second of value and gradient."""
-    kernels = model_kernels(model, model)
+def _peak_work() -> Job:
+    chains, rounds = np.ones((8, _LANES), np.float32), 2_000
+    factor, summand = np.float32(0.999), np.float32(1e-3)
+    return lambda: _multiply_add(chains, rounds, factor, summand), rounds * chains.size * _CHAIN * 2
+
+
+def _rates(jobs: dict[str, Job]) -> dict[str, float]:
+    """Operations a second of each job, in turns: what else the machine does meets all of them alike."""
+    took: dict[str, list[float]] = {what: [] for what in jobs}
+    for turn in range(_TURNS):
+        for what, (work, _) in jobs.items():
+            start = time.perf_counter()
+            work()
+            if turn:  # the first compiles, or loads
+                took[what].append(time.perf_counter() - start)
+    return {what: operations / float(np.quantile(took[what], 0.2)) for what, (_, operations) in jobs.items()}
+
+
+def _moments(model: str) -> Job:
+    """Value and gradient of the objective."""
     nodes = np.random.default_rng(0).uniform(0.1, 1.0, (NODE_ROWS, _NODES)).astype(np.float32)
     frame, out = np.array([2.0, 0, 0, 0, 2.0, 0, 0, 0, 1.0]), np.zeros(MOMENTS)
-    calls = 20_000
-
-    repeat = _repeat_moments(kernels.moments, nodes, frame, out)
-    return calls * _NODES / _best(lambda: repeat(calls))
+    calls = 500
+    arguments = (model_kernels(model, model).moments, nodes, frame, np.float32(0.0), out, calls)
+    return lambda: _many_moments(*arguments), calls * _NODES * MOMENT_FLOP
 
 
 @kernel
@@ -134,29 +152,22 @@ def _many_moments(moments, nodes, frame, shape, out, calls):
         moments(nodes, frame, shape, out)
 
 
-def _repeat_moments(moments, nodes, frame, out):  # type: ignore[no-untyped-def]
-    arguments = (moments, nodes, frame, np.float32(0.0), out)
-    _many_moments(*arguments, 1)
-    return lambda calls: _many_moments(*arguments, calls)
-
-
 @kernel
 def _many_tables(tabulate, lobes, count, nodes, frame, calls):
     for _ in range(calls):
         tabulate(lobes, count, True, True, nodes, frame)
 
 
-def _table() -> float:
-    """Lobes times nodes a second of the apparent lobe's table."""
-    count, calls = 16, 2_000
+def _table() -> Job:
+    """The apparent lobe's table."""
+    count, calls = 16, 100
     lobes = np.zeros((count + 1, LOBE_COLUMNS))
     lobes[:, 2] = 1.0
     lobes[:, 3:5] = 0.04
     lobes[:, 7:12] = 1.0 / count
     nodes = np.random.default_rng(0).uniform(0.1, 1.0, (NODE_ROWS, _NODES)).astype(np.float32)
-    arguments = (model_kernels("ggx", "ggx").tabulate, lobes, count, nodes, np.zeros(9))
-    _many_tables(*arguments, 1)
-    return calls * (count + 1) * _NODES / _best(lambda: _many_tables(*arguments, calls))
+    arguments = (model_kernels("ggx", "ggx").tabulate, lobes, count, nodes, np.zeros(9), calls)
+    return lambda: _many_tables(*arguments), calls * (count + 1) * _NODES * TABLE_FLOP
 
 
 def _bake(svbrdf, mip_level: int) -> float:  # type: ignore[no-untyped-def]
