@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -17,35 +18,40 @@ from brdffit.fitting.presets import get_quality
 from brdffit.fitting.sampling import LevelSample
 from brdffit.halfangle.apparent_lobe import gather_lobes
 from brdffit.halfangle.measure import random_texels
+from brdffit.halfangle.objective import MOMENTS
 from brdffit.halfangle.quadrature import LOBE_COLUMNS, NODE_ROWS
 from brdffit.models import model_names
 from brdffit.svbrdf import level_sizes
 from brdffit.tradeoff.ways import fixed_nodes
 
 # Operations a node, an exponential or a division counted as one. Moments: 15 for u, v and c; 3 + 1 for q and C; 5 for
-# GGX and its derivatives; 36 for the products and sums of the target and of the lobe; 5 products shared by both.
-MOMENT_FLOP = 65
+# GGX and its derivatives; 12 for products of these and of the weights; 24 for the sums of the target and of the lobe.
+MOMENT_FLOP = 60
 # A base lobe at a node: 5 for the chord, 6 for sin^2, cos, q and C, 3 for GGX, 5 for the sums (grey, isotropic).
 TABLE_FLOP = 19
-_NODES, _ACCUMULATORS = 512, 256
+_NODES = 512
+_LANES, _CHAIN = 64, 16
+_TURNS = 60
 KERNEL_SHARE, BAKE_SHARE = 0.30, 0.15
 _SLOWER = 2.0
 
+#: Something to time, and its operations.
+Job = tuple[Callable[[], object], float]
+
 
 @kernel
-def _multiply_add(x, rounds):
-    """Chains of a = a * m + c, independent of each other: as many as the registers hold, and none waits for memory."""
-    m, c = np.float32(0.999), np.float32(1e-3)
+def _multiply_add(x, rounds, m, c):
+    """Chains of a = a * m + c, eight rows of ``x`` (8, lanes) at a time: none waits for another, few for memory.
+
+    m and c are arguments, for a compiler that knew them would fold a chain into one multiply-add.
+    """
     for _ in range(rounds):
-        for i in range(x.size):
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
-            x[i] = x[i] * m + c
+        for i in range(x.shape[1]):
+            p, q, r, s, t, u, v, w = x[0, i], x[1, i], x[2, i], x[3, i], x[4, i], x[5, i], x[6, i], x[7, i]
+            for _ in range(_CHAIN):
+                p, q, r, s = p * m + c, q * m + c, r * m + c, s * m + c
+                t, u, v, w = t * m + c, u * m + c, v * m + c, w * m + c
+            x[0, i], x[1, i], x[2, i], x[3, i], x[4, i], x[5, i], x[6, i], x[7, i] = p, q, r, s, t, u, v, w
 
 
 def measure_roofline(materials: Path, quick: bool) -> Section:
@@ -58,14 +64,11 @@ def measure_roofline(materials: Path, quick: bool) -> Section:
         f"down for every model, so its column of shares compares times). Bake: {MOMENT_FLOP} a node and evaluation and "
         f"{TABLE_FLOP} a lobe and node, over the time of everything else too. Kernels on one thread, the bake on all.",
     )
-    single, full = _peak(1), _peak(os.cpu_count() or 1)
-    section.rows.append(_row("peak, one thread", single, 1.0))
+    names = {f"moments, {name}": _moments(name) for name in model_names()}
+    rates = _rates({"peak, one thread": _peak_work(), **names, "table, ggx": _table()})
+    single, full = rates["peak, one thread"], _peak(os.cpu_count() or 1)
     section.rows.append(_row("peak, all threads", full, 1.0))
-    nodes_a_second = {name: _moments(name) for name in model_names()}
-    for name, rate in nodes_a_second.items():
-        section.rows.append(_row(f"moments, {name}", MOMENT_FLOP * rate, MOMENT_FLOP * rate / single))
-    table = _table()
-    section.rows.append(_row("table, ggx", TABLE_FLOP * table, TABLE_FLOP * table / single))
+    section.rows += [_row(what, rate, rate / single) for what, rate in rates.items()]
     shares = []
     real = real_sets(materials)
     for name in ["hammered-metal", *([] if quick else [each for each in NAMED[:2] if each in real])]:
@@ -77,9 +80,9 @@ def measure_roofline(materials: Path, quick: bool) -> Section:
             flop_rate = _bake(svbrdf, mip_level)
             shares.append(flop_rate / full)
             section.rows.append(_row(f"bake, {name}, level {mip_level}", flop_rate, flop_rate / full))
-    ggx = MOMENT_FLOP * nodes_a_second["ggx"] / single
-    slowest = min(nodes_a_second, key=lambda name: nodes_a_second[name])
-    ratio = nodes_a_second["ggx"] / nodes_a_second[slowest]
+    ggx = rates["moments, ggx"] / single
+    slowest = min(model_names(), key=lambda name: rates[f"moments, {name}"])
+    ratio = rates["moments, ggx"] / rates[f"moments, {slowest}"]
     section.targets = [
         Target("moments of GGX, share of the peak", f">= {KERNEL_SHARE}", f"{ggx:.2f}", ggx >= KERNEL_SHARE),
         Target("bake, share of the peak", f">= {BAKE_SHARE}", f"worst {min(shares, default=0):.3f}",
@@ -104,26 +107,43 @@ def _best(work, repeats: int = 5) -> float:  # type: ignore[no-untyped-def]
 
 
 def _peak(threads: int) -> float:
-    rounds = 200_000
-    chains = [np.ones(_ACCUMULATORS, np.float32) for _ in range(threads)]
-    _multiply_add(chains[0], 1)
+    rounds = 20_000
+    chains = [np.ones((8, _LANES), np.float32) for _ in range(threads)]
+    factor, summand = np.float32(0.999), np.float32(1e-3)
+    _multiply_add(chains[0], 1, factor, summand)
 
     def work() -> None:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda x: _multiply_add(x, rounds), chains))
+            list(pool.map(lambda x: _multiply_add(x, rounds, factor, summand), chains))
 
-    return threads * rounds * _ACCUMULATORS * 16 / _best(work)
+    return threads * rounds * chains[0].size * _CHAIN * 2 / _best(work)
 
 
-def _moments(model: str) -> float:
-    """Nodes a second of value and gradient."""
-    kernels = model_kernels(model, model)
+def _peak_work() -> Job:
+    chains, rounds = np.ones((8, _LANES), np.float32), 2_000
+    factor, summand = np.float32(0.999), np.float32(1e-3)
+    return lambda: _multiply_add(chains, rounds, factor, summand), rounds * chains.size * _CHAIN * 2
+
+
+def _rates(jobs: dict[str, Job]) -> dict[str, float]:
+    """Operations a second of each job, in turns: what else the machine does meets all of them alike."""
+    took: dict[str, list[float]] = {what: [] for what in jobs}
+    for turn in range(_TURNS):
+        for what, (work, _) in jobs.items():
+            start = time.perf_counter()
+            work()
+            if turn:  # the first compiles, or loads
+                took[what].append(time.perf_counter() - start)
+    return {what: operations / float(np.quantile(took[what], 0.2)) for what, (_, operations) in jobs.items()}
+
+
+def _moments(model: str) -> Job:
+    """Value and gradient of the objective."""
     nodes = np.random.default_rng(0).uniform(0.1, 1.0, (NODE_ROWS, _NODES)).astype(np.float32)
-    frame, out = np.array([2.0, 0, 0, 0, 2.0, 0, 0, 0, 1.0]), np.zeros(18)
-    calls = 20_000
-
-    repeat = _repeat_moments(kernels.moments, nodes, frame, out)
-    return calls * _NODES / _best(lambda: repeat(calls))
+    frame, out = np.array([2.0, 0, 0, 0, 2.0, 0, 0, 0, 1.0]), np.zeros(MOMENTS)
+    calls = 500
+    arguments = (model_kernels(model, model).moments, nodes, frame, np.float32(0.0), out, calls)
+    return lambda: _many_moments(*arguments), calls * _NODES * MOMENT_FLOP
 
 
 @kernel
@@ -132,29 +152,22 @@ def _many_moments(moments, nodes, frame, shape, out, calls):
         moments(nodes, frame, shape, out)
 
 
-def _repeat_moments(moments, nodes, frame, out):  # type: ignore[no-untyped-def]
-    arguments = (moments, nodes, frame, np.float32(0.0), out)
-    _many_moments(*arguments, 1)
-    return lambda calls: _many_moments(*arguments, calls)
-
-
 @kernel
 def _many_tables(tabulate, lobes, count, nodes, frame, calls):
     for _ in range(calls):
         tabulate(lobes, count, True, True, nodes, frame)
 
 
-def _table() -> float:
-    """Lobes times nodes a second of the apparent lobe's table."""
-    count, calls = 16, 2_000
+def _table() -> Job:
+    """The apparent lobe's table."""
+    count, calls = 16, 100
     lobes = np.zeros((count + 1, LOBE_COLUMNS))
     lobes[:, 2] = 1.0
     lobes[:, 3:5] = 0.04
     lobes[:, 7:12] = 1.0 / count
     nodes = np.random.default_rng(0).uniform(0.1, 1.0, (NODE_ROWS, _NODES)).astype(np.float32)
-    arguments = (model_kernels("ggx", "ggx").tabulate, lobes, count, nodes, np.zeros(9))
-    _many_tables(*arguments, 1)
-    return calls * (count + 1) * _NODES / _best(lambda: _many_tables(*arguments, calls))
+    arguments = (model_kernels("ggx", "ggx").tabulate, lobes, count, nodes, np.zeros(9), calls)
+    return lambda: _many_tables(*arguments), calls * (count + 1) * _NODES * TABLE_FLOP
 
 
 def _bake(svbrdf, mip_level: int) -> float:  # type: ignore[no-untyped-def]

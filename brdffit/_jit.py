@@ -95,8 +95,17 @@ _FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
 _FLAGS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": _FASTMATH, "error_model": "numpy"}
 
 
+#: What a kernel that makes arrays of its own calls.
+_ALLOCATORS = {"zeros", "empty", "ones"}
+
+
 def _compile(function: Callable, **flags: Any) -> Any:
-    """A dispatcher whose cache is that of its module's room."""
+    """A dispatcher whose cache is that of its module's room.
+
+    Unless it makes arrays of its own it counts no references: each row of an array would cost two locked additions, and
+    whoever calls a kernel holds its arrays anyway.
+    """
+    flags["_nrt"] = bool(_ALLOCATORS & set(function.__code__.co_names))
     group = "render" if function.__module__.startswith("brdffit.render.") else "fitting"
     numba.config.CACHE_DIR = CACHE_FOLDERS[group]  # type: ignore[attr-defined]  # Numba reads it at decoration
     return numba.njit(**flags)(function)

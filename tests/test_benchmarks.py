@@ -11,7 +11,7 @@ from click.testing import CliRunner
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed
 
-from benchmarks import effects, integrals  # noqa: E402
+from benchmarks import effects, integrals, roofline  # noqa: E402
 from benchmarks.__main__ import main  # noqa: E402
 from benchmarks.accuracy import CLOSED_FORMS, compare_set, targets  # noqa: E402
 from benchmarks.materials import NAMED, accuracy_sets, load_procedural, tiled, write_tiled  # noqa: E402
@@ -100,6 +100,18 @@ def test_sets_without_a_folder_of_real_ones(tmp_path):
     for name in (*NAMED[:1], "aaa"):
         (tmp_path / name).mkdir()
     assert list(accuracy_sets(tmp_path, quick=False)) == [NAMED[0], "aaa"]
+
+
+def test_the_peak_is_measured_on_chains_that_no_compiler_folds():
+    # A folded chain rounds once where these round at every step, with or without a rounded product.
+    factor, summand = np.float32(0.999), np.float32(1e-3)
+    chains = np.random.default_rng(4).random((8, 16), np.float32)
+    fused = product = chains.copy()
+    for _ in range(roofline._CHAIN):
+        fused = (fused.astype(np.float64) * factor + summand).astype(np.float32)
+        product = product * factor + summand
+    roofline._multiply_add(chains, 1, factor, summand)
+    assert np.array_equal(chains, fused) or np.array_equal(chains, product)
 
 
 def test_a_cut_kernel_has_no_line_of_what_was_cut():

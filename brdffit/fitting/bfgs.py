@@ -31,6 +31,10 @@ _NOISE = 5e-7
 FREE_NORMAL, FREE_ANISOTROPY, FREE_SHAPE = 1, 2, 4
 
 WORK = 200
+# Where in ``work`` a search keeps its own: the step in theta, gradient by z, step in z, change of that gradient, its
+# product with the inverse Hessian, columns of P, inverse Hessian.
+_TURN, _SLOPES, _STEP, _CHANGE, _IMAGE, _COLUMNS, _INVERSE = 18, 24, 30, 36, 42, 48, 84
+_SQUARE = PARAMETERS * PARAMETERS
 
 
 @inline
@@ -68,44 +72,44 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
     ``floor`` (in units of the objective).
     Returns (value, evaluations, status); theta is never worse than it was.
     """
-    gradient = work[0:6]
-    trial_gradient, trial = work[6:12], work[12:18]
-    z_gradient, step, change, image = work[24:30], work[30:36], work[36:42], work[42:48]
-    columns = work[48:84].reshape(PARAMETERS, PARAMETERS)
-    inverse = work[84:120].reshape(PARAMETERS, PARAMETERS)
-    scratch = work[120:168]
-    size = search_columns(theta, free, columns)
+    gradient, trial_gradient, trial, scratch = work[0:6], work[6:12], work[12:18], work[120:168]
+    size = search_columns(theta, free, work[_COLUMNS : _COLUMNS + _SQUARE].reshape(PARAMETERS, PARAMETERS))
+    # Directions that are not searched have zeros everywhere: loops of a known length are no loops to the compiler.
+    for i in range(_SQUARE):
+        work[_INVERSE + i] = 0.0
     for i in range(size):
-        for k in range(size):
-            inverse[i, k] = 1.0 if i == k else 0.0
-        z_gradient[i] = 0.0
+        work[_INVERSE + i * PARAMETERS + i] = 1.0
+    for i in range(PARAMETERS):
+        s = 0.0
         for p in range(PARAMETERS):
-            z_gradient[i] += columns[p, i] * gradient[p]
+            s += work[_COLUMNS + p * PARAMETERS + i] * gradient[p]
+        work[_SLOPES + i] = s
     evaluations = 0
     for _ in range(most):
         slope = 0.0
         length = 0.0
-        for i in range(size):
+        for i in range(PARAMETERS):
             s = 0.0
-            for k in range(size):
-                s -= inverse[i, k] * z_gradient[k]
-            step[i] = s
-            slope += s * z_gradient[i]
+            for k in range(PARAMETERS):
+                s -= work[_INVERSE + i * PARAMETERS + k] * work[_SLOPES + k]
+            work[_STEP + i] = s
+            slope += s * work[_SLOPES + i]
             length += s * s
         if not math.isfinite(slope):
             return value, evaluations, FALLBACK
         if -0.5 * slope <= max(max(tolerance * (1.0 + value), floor), _NOISE):
             return value, evaluations, CONVERGED
-        length = math.sqrt(length)
-        t = 1.0 if length <= _LONGEST_STEP else _LONGEST_STEP / length
+        for p in range(PARAMETERS):
+            s = 0.0
+            for i in range(PARAMETERS):
+                s += work[_COLUMNS + p * PARAMETERS + i] * work[_STEP + i]
+            work[_TURN + p] = s
+        t = 1.0 if length <= _LONGEST_STEP * _LONGEST_STEP else _LONGEST_STEP / math.sqrt(length)
         accepted = False
         trial_value = value
         for _ in range(_BACKTRACKS):
             for p in range(PARAMETERS):
-                s = 0.0
-                for i in range(size):
-                    s += columns[p, i] * step[i]
-                trial[p] = theta[p] + t * s
+                trial[p] = theta[p] + t * work[_TURN + p]
             trial_value = evaluate(trial, nodes, setting, moments_kernel, log_normalisation, trial_gradient, scratch)
             evaluations += 1
             if trial_value <= value + _ARMIJO * t * slope:
@@ -118,14 +122,14 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
         if not accepted:
             return value, evaluations, PRECISION_LIMIT
         product = 0.0
-        for i in range(size):
+        for i in range(PARAMETERS):
             g = 0.0
             for p in range(PARAMETERS):
-                g += columns[p, i] * trial_gradient[p]
-            change[i] = g - z_gradient[i]
-            z_gradient[i] = g
-            step[i] *= t
-            product += step[i] * change[i]
+                g += work[_COLUMNS + p * PARAMETERS + i] * trial_gradient[p]
+            work[_CHANGE + i] = g - work[_SLOPES + i]
+            work[_SLOPES + i] = g
+            work[_STEP + i] *= t
+            product += work[_STEP + i] * work[_CHANGE + i]
         for p in range(PARAMETERS):
             theta[p] = trial[p]
             gradient[p] = trial_gradient[p]
@@ -133,14 +137,16 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
         # Without curvature along the step the update would lose positive definiteness: keep the old matrix.
         if product > 1e-14:
             quadratic = 0.0
-            for i in range(size):
+            for i in range(PARAMETERS):
                 s = 0.0
-                for k in range(size):
-                    s += inverse[i, k] * change[k]
-                image[i] = s
-                quadratic += change[i] * s
-            factor = (1.0 + quadratic / product) / product
-            for i in range(size):
-                for k in range(size):
-                    inverse[i, k] += factor * step[i] * step[k] - (image[i] * step[k] + step[i] * image[k]) / product
+                for k in range(PARAMETERS):
+                    s += work[_INVERSE + i * PARAMETERS + k] * work[_CHANGE + k]
+                work[_IMAGE + i] = s
+                quadratic += work[_CHANGE + i] * s
+            share = 1.0 / product
+            factor = (1.0 + quadratic * share) * share
+            for i in range(PARAMETERS):
+                along, across = factor * work[_STEP + i] - share * work[_IMAGE + i], share * work[_STEP + i]
+                for k in range(PARAMETERS):
+                    work[_INVERSE + i * PARAMETERS + k] += along * work[_STEP + k] - across * work[_IMAGE + k]
     return value, evaluations, ITERATION_LIMIT

@@ -11,6 +11,7 @@ from brdffit.halfangle.density import half_angle_density
 from brdffit.halfangle.frame import lobe_frame
 from brdffit.halfangle.objective import HELD, SCALE, TARGET
 from brdffit.halfangle.quadrature import BLUE, GREEN, H_X, H_Y, H_Z, MEASURE, RED, WEIGHT
+from brdffit.models.elementary import alternate, reciprocal
 
 real = np.float32
 
@@ -43,9 +44,10 @@ def aim(nodes, colour, target_norm, setting):
         scale = 1.0 / math.sqrt(squared)
         r, g, b = colour[0] * scale, colour[1] * scale, colour[2] * scale
         setting[SCALE] = 1.0 / target_norm
+    red, green, blue, weight, target = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT], nodes[TARGET]
+    by_red, by_green, by_blue = real(r), real(g), real(b)
     for j in range(nodes.shape[1]):
-        s = r * nodes[RED, j] + g * nodes[GREEN, j] + b * nodes[BLUE, j]
-        nodes[TARGET, j] = s * nodes[WEIGHT, j]
+        target[j] = (by_red * red[j] + by_green * green[j] + by_blue * blue[j]) * weight[j]
 
 
 @kernel
@@ -74,10 +76,11 @@ def settle_scale(theta, nodes, setting, values_kernel, log_normalisation, values
         d_r, d_g, d_b = red[j] - rho_r * values[j], green[j] - rho_g * values[j], blue[j] - rho_b * values[j]
         term = weight[j] * (d_r * d_r + d_g * d_g + d_b * d_b)
         total += term
-        alternating += term * real(1 - 2 * (j & 1))
+        alternating += alternate(term, j)
     report[RESIDUAL] = total / report[TARGET_NORM]
     report[DISAGREEMENT] = abs(alternating) / report[TARGET_NORM]
-    report[COVERAGE] = coverage(theta, nodes, exponent, work)
+    # The values' kernel has left the lobe's frame in ``work``.
+    report[COVERAGE] = _coverage_of(work, nodes, exponent)
 
 
 @kernel
@@ -96,7 +99,13 @@ def coverage(theta, nodes, exponent, frame):
     A node stands for the solid angle W / w(h), W its MEASURE. ``frame`` (9,) is scratch.
     """
     inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
-    l1, l2, _, _ = lobe_frame(-theta[0] * inverse, -theta[1] * inverse, inverse, theta[2], theta[3], theta[4], frame)
+    lobe_frame(-theta[0] * inverse, -theta[1] * inverse, inverse, theta[2], theta[3], theta[4], frame)
+    return _coverage_of(frame, nodes, exponent)
+
+
+@kernel
+def _coverage_of(frame, nodes, exponent):
+    """``coverage`` of the lobe with this frame."""
     u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
     v_x, v_y, v_z = real(frame[3]), real(frame[4]), real(frame[5])
     n_x, n_y, n_z = real(frame[6]), real(frame[7]), real(frame[8])
@@ -108,11 +117,14 @@ def coverage(theta, nodes, exponent, frame):
         v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
         cos = max(n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j], real(0.0))
         C = cos * cos
-        g = real(1.0) / (u * u + v * v + C)
+        g = reciprocal(u * u + v * v + C)
         g *= g
-        up = max(h_z[j], real(0.02))  # no weight below the horizon
-        seen += weight[j] / (up * up * up if cubic else up) * g * g * C * C * cos
-    across = math.sqrt((frame[2] * math.exp(l1)) ** 2 + (frame[5] * math.exp(l2)) ** 2)
-    sine = frame[8] / math.sqrt(frame[8] * frame[8] + across * across)
+        up = reciprocal(max(h_z[j], real(0.02)))  # no weight below the horizon
+        seen += weight[j] * (up * up * up if cubic else up) * g * g * C * C * cos
+    # Squared lengths of the frame's axes: the reciprocals of the tensor's eigenvalues.
+    square1 = frame[0] * frame[0] + frame[1] * frame[1] + frame[2] * frame[2]
+    square2 = frame[3] * frame[3] + frame[4] * frame[4] + frame[5] * frame[5]
+    across1, across2 = frame[2] / square1, frame[5] / square2
+    sine = frame[8] / math.sqrt(frame[8] * frame[8] + across1 * across1 + across2 * across2)
     above = 0.5 + sine * (15.0 + sine * sine * (3.0 * sine * sine - 10.0)) / 16.0
-    return 3.0 / math.pi * math.exp(-0.5 * (l1 + l2)) * seen / (above * half_angle_density(1.0, exponent))
+    return 3.0 / math.pi * math.sqrt(square1 * square2) * seen / (above * half_angle_density(1.0, exponent))

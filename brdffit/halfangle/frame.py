@@ -27,13 +27,10 @@ def eigen_log(a, b, c):
     radius = math.sqrt(half * half + c * c)
     if radius < 1e-12:
         return mean, mean, 1.0, 0.0
-    # Half-angle formulas, the larger of the two computed first: no cancellation at any angle.
-    if half >= 0.0:
-        cos = math.sqrt(0.5 * (1.0 + half / radius))
-        sin = 0.5 * c / (radius * cos)
-    else:
-        sin = math.sqrt(0.5 * (1.0 - half / radius))
-        cos = 0.5 * c / (radius * sin)
+    # Half-angle formulas, cos^2 = (1 + half / radius) / 2, the larger of the two without cancellation at any angle.
+    larger = radius + abs(half)
+    scale = 1.0 / math.sqrt(2.0 * radius * larger)
+    cos, sin = (larger * scale, c * scale) if half >= 0.0 else (c * scale, larger * scale)
     return mean + radius, mean - radius, cos, sin
 
 
@@ -42,7 +39,7 @@ def lobe_frame(n_x, n_y, n_z, a, b, c, frame):
     """Fill ``frame`` (9,) with the rows u1, u2, n that take h to scaled coordinates.
 
     u_i = exp(-l_i / 2) v_i are the tangent-plane axes along the eigenvectors of the tensor, scaled so that
-    q = (u1.h)^2 + (u2.h)^2. Returns (l1, l2, cos, sin) of ``eigen_log``.
+    q = (u1.h)^2 + (u2.h)^2. Returns (l1, l2, cos, sin) of ``eigen_log`` and the two scales exp(-l_i / 2).
     """
     t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(n_x, n_y, n_z)
     l1, l2, cos, sin = eigen_log(a, b, c)
@@ -57,7 +54,7 @@ def lobe_frame(n_x, n_y, n_z, a, b, c, frame):
     frame[6] = n_x
     frame[7] = n_y
     frame[8] = n_z
-    return l1, l2, cos, sin
+    return l1, l2, cos, sin, s1, s2
 
 
 @inline

@@ -32,9 +32,10 @@ import math
 
 import numpy as np
 
-from brdffit._jit import inline, kernel, types
-from brdffit.halfangle.frame import lobe_frame, tangent_frame
+from brdffit._jit import kernel, types
+from brdffit.halfangle.frame import lobe_frame
 from brdffit.halfangle.quadrature import H_X, H_Y, H_Z, HORIZON, WEIGHT
+from brdffit.models.elementary import align_stack, product
 from brdffit.models.ggx import profile, profile_gradient  # bound anew for other models
 
 real = np.float32
@@ -45,27 +46,30 @@ TURNS = STRETCHES = True
 RIM = 0.05
 
 PARAMETERS = 6
-MOMENTS = 18
+MOMENTS = 14
 # The scalar target, times the weight, stands in the row that held the mixture density (no longer needed by then).
 TARGET = 6
 
 
 @kernel
 def moments(nodes, frame, shape, out):
-    """Sums over the nodes, for the target (out[0:9], weight W S) and the lobe itself (out[9:18], weight 2 W g):
-    value, then q-derivative times (u1 u1, u1 u2, u2 u2, u1 c, u2 c), C-derivative times (u1 c, u2 c), s-derivative.
-    out[9] is sum W g^2 (no factor 2).
+    """Sums over the nodes, for the target (out[0:7], weight W S) and the lobe itself (out[7:14], weight 2 W g):
+    value, then q-derivative times (u1 u1, u1 u2, u2 u2), then what a turn of the normal reads, u_i c times the
+    q-derivative less exp(l_i) times the C-derivative, for i = 1, 2; s-derivative. out[7] is sum W g^2 (no factor 2).
 
     Without TURNS the sums with c are 0; without STRETCHES, for a round lobe, u1 u1 stands for u1 u1 + u2 u2, and so the
     gradient by a for that by a and b together, which then is 0.
     """
+    align_stack()
     h_x, h_y, h_z, weight, target = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT], nodes[TARGET]
     u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
     v_x, v_y, v_z = real(frame[3]), real(frame[4]), real(frame[5])
     n_x, n_y, n_z = real(frame[6]), real(frame[7]), real(frame[8])
+    square1 = real(1.0) / (u_x * u_x + u_y * u_y + u_z * u_z)
+    square2 = real(1.0) / (v_x * v_x + v_y * v_y + v_z * v_z)
     z = real(0.0)
-    t0, t1, t2, t3, t4, t5, t6, t7, t8 = z, z, z, z, z, z, z, z, z
-    d0, d1, d2, d3, d4, d5, d6, d7, d8 = z, z, z, z, z, z, z, z, z
+    t0, t1, t2, t3, t4, t5, t6 = z, z, z, z, z, z, z
+    d0, d1, d2, d3, d4, d5, d6 = z, z, z, z, z, z, z
     for j in range(nodes.shape[1]):
         u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
         v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
@@ -75,14 +79,14 @@ def moments(nodes, frame, shape, out):
             # The lobe ends at its own horizon: g(q, C) would go on as a mirror image behind it.
             x = min(max(c * real(1.0 / RIM), real(0.0)), real(1.0))
             fade = x * x * (real(3.0) - x - x)
-            g_C = g_C * fade + (g * real(3.0 / (RIM * RIM)) * (real(1.0) - x) if c > real(0.0) else real(0.0))
+            fall = real(3.0 / (RIM * RIM)) * (real(1.0) - x) if c > real(0.0) else real(0.0)
+            g_C = g_C * fade + g * fall
             g *= fade
             g_q *= fade
-            g_s *= fade
+            g_s = product(g_s, fade)
         wd = weight[j] * g
         t0 += target[j] * g
         d0 += wd * g
-        wd = wd + wd
         tq, dq = target[j] * g_q, wd * g_q
         uu, vv = u * u, v * v
         if STRETCHES:
@@ -97,20 +101,15 @@ def moments(nodes, frame, shape, out):
             t1 += tq * (uu + vv)
             d1 += dq * (uu + vv)
         if TURNS:
-            tC, dC = target[j] * g_C, wd * g_C
-            uc, vc = u * c, v * c
-            t4 += tq * uc
-            t5 += tq * vc
-            t6 += tC * uc
-            t7 += tC * vc
-            d4 += dq * uc
-            d5 += dq * vc
-            d6 += dC * uc
-            d7 += dC * vc
-        t8 += target[j] * g_s
-        d8 += wd * g_s
-    out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7], out[8] = t0, t1, t2, t3, t4, t5, t6, t7, t8
-    out[9], out[10], out[11], out[12], out[13], out[14], out[15], out[16], out[17] = d0, d1, d2, d3, d4, d5, d6, d7, d8
+            uc, vc = u * c * (g_q - square1 * g_C), v * c * (g_q - square2 * g_C)
+            t4 += target[j] * uc
+            t5 += target[j] * vc
+            d4 += wd * uc
+            d5 += wd * vc
+        t6 += product(target[j], g_s)
+        d6 += product(wd, g_s)
+    out[0], out[1], out[2], out[3], out[4], out[5], out[6] = t0, t1, t2, t3, t4, t5, t6
+    out[7], out[8], out[9], out[10], out[11], out[12], out[13] = d0, 2 * d1, 2 * d2, 2 * d3, 2 * d4, 2 * d5, 2 * d6
 
 
 def moments_type(floats):  # type: ignore[no-untyped-def]
@@ -124,8 +123,11 @@ def lobe_values(theta, nodes, log_normalisation, values, work):
     """D(h_j; theta) for every node into ``values`` (N,); ``work`` (16,) is scratch."""
     frame = work[0:9]
     inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
-    l1, l2, _, _ = lobe_frame(-theta[0] * inverse, -theta[1] * inverse, inverse, theta[2], theta[3], theta[4], frame)
-    amplitude = real(math.exp(log_normalisation(theta[5])[0] - 0.5 * (l1 + l2)) / math.pi)
+    _, _, _, _, s1, s2 = lobe_frame(
+        -theta[0] * inverse, -theta[1] * inverse, inverse, theta[2], theta[3], theta[4], frame
+    )
+    log_k, _ = log_normalisation(theta[5])
+    amplitude = real((math.exp(log_k) if log_k != 0.0 else 1.0) * s1 * s2 / math.pi)
     shape = real(theta[5])
     h_x, h_y, h_z = nodes[H_X], nodes[H_Y], nodes[H_Z]
     u_x, u_y, u_z = real(frame[0]), real(frame[1]), real(frame[2])
@@ -148,46 +150,6 @@ def lobe_values_type(floats):  # type: ignore[no-untyped-def]
     return types.FunctionType(types.void(f64[::1], floats[:, ::1], log_normalisation_type, floats[::1], f64[::1]))
 
 
-@inline
-def _chain(m, amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient):
-    """Gradient of amplitude * sum(...) by theta, amplitude held, from the nine moments m (9,)."""
-    twist = -4.0 * sinh * m[2]
-    along1 = 2.0 * (m[4] / e1 - m[6] * e1)
-    along2 = 2.0 * (m[5] / e2 - m[7] * e2)
-    for k in range(2):
-        w12, w13, w23 = rotation[3 * k], rotation[3 * k + 1], rotation[3 * k + 2]
-        g1, g2 = cos * w13 + sin * w23, cos * w23 - sin * w13
-        gradient[k] = amplitude * (twist * w12 + along1 * g1 + along2 * g2)
-    cs = cos * sin
-    cross = 2.0 * kappa * m[2]
-    gradient[2] = -amplitude * (cos * cos * m[1] - cs * cross + sin * sin * m[3])
-    gradient[3] = -amplitude * (sin * sin * m[1] + cs * cross + cos * cos * m[3])
-    gradient[4] = -amplitude * (2.0 * cs * (m[1] - m[3]) + (cos * cos - sin * sin) * cross)
-    gradient[5] = amplitude * m[8]
-
-
-@inline
-def frame_rotation(m_x, m_y, rotation):
-    """Fill ``rotation`` (6,) with (w12, w13, w23) of the frame's turn by d/dm_x and d/dm_y; returns the normal.
-
-    n = (-m_x, -m_y, 1) / s, dn = -e_k / s - n m_k / s^2 with s^2 = 1 + m^2. For the shortest-rotation frame
-    w12 = dt.b = (n_y dn_x - n_x dn_y) / (1 + n_z), the connection of the sphere seen from the pole.
-    """
-    s2 = 1.0 + m_x * m_x + m_y * m_y
-    inverse = 1.0 / math.sqrt(s2)
-    n_x, n_y, n_z = -m_x * inverse, -m_y * inverse, inverse
-    t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(n_x, n_y, n_z)
-    for k in range(2):
-        m = m_x if k == 0 else m_y
-        d_x = -n_x * m / s2 - (inverse if k == 0 else 0.0)
-        d_y = -n_y * m / s2 - (inverse if k == 1 else 0.0)
-        d_z = -n_z * m / s2
-        rotation[3 * k] = (n_y * d_x - n_x * d_y) / (1.0 + n_z)
-        rotation[3 * k + 1] = -(t_x * d_x + t_y * d_y + t_z * d_z)
-        rotation[3 * k + 2] = -(b_x * d_x + b_y * d_y + b_z * d_z)
-    return n_x, n_y, n_z
-
-
 # What an evaluation is told besides theta: held (0 or 1), |rho|^2 / TT or 1 / TT, bounds of log eigenvalues and of s.
 HELD, SCALE, LOG_LOW, LOG_HIGH, SHAPE_LOW, SHAPE_HIGH = range(6)
 
@@ -202,29 +164,21 @@ def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient,
 
     ``gradient`` (6,) is written; ``work`` (48,) is scratch, of which work[0] and work[1] hold TD and DD on return.
     Walls keep log eigenvalues and shape within their bounds.
+
+    The normal is n = (-m_x, -m_y, 1) i with i = 1 / sqrt(1 + m^2), so t.dn = -i t_k and b.dn = -i b_k by the slope m_k,
+    and (w13, w23) = i (t_k, b_k). For the shortest-rotation frame w12 = (n_y dn_x - n_x dn_y) / (1 + n_z), the
+    connection of the sphere seen from the pole: -i n_y / (1 + n_z) by m_x and i n_x / (1 + n_z) by m_y.
     """
-    rotation, frame, sums, other = work[2:8], work[8:17], work[17:35], work[35:41]
-    n_x, n_y, n_z = frame_rotation(theta[0], theta[1], rotation)
-    l1, l2, cos, sin = lobe_frame(n_x, n_y, n_z, theta[2], theta[3], theta[4], frame)
+    frame, sums = work[2:11], work[11:25]
+    inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
+    n_x, n_y = -theta[0] * inverse, -theta[1] * inverse
+    l1, l2, cos, sin, s1, s2 = lobe_frame(n_x, n_y, inverse, theta[2], theta[3], theta[4], frame)
     log_k, log_k_slope = log_normalisation(theta[5])
-    e1 = 1.0 / math.sqrt(frame[0] * frame[0] + frame[1] * frame[1] + frame[2] * frame[2])
-    e2 = 1.0 / math.sqrt(frame[3] * frame[3] + frame[4] * frame[4] + frame[5] * frame[5])
-    amplitude = (math.exp(log_k) if log_k != 0.0 else 1.0) / (math.pi * e1 * e2)
-    sinh = 0.5 * (e1 / e2 - e2 / e1)
-    delta = 0.5 * (l1 - l2)
-    kappa = sinh / delta if delta > 1e-4 else 1.0
+    amplitude = (math.exp(log_k) if log_k != 0.0 else 1.0) * s1 * s2 / math.pi
+    squared = amplitude * amplitude
     moments_kernel(nodes, frame, real(theta[5]), sums)
-    td = amplitude * sums[0]
-    dd = amplitude * amplitude * sums[9]
+    td, dd = amplitude * sums[0], squared * sums[7]
     work[0], work[1] = td, dd
-    _chain(sums[0:9], amplitude, rotation, e1, e2, cos, sin, kappa, sinh, gradient)
-    _chain(sums[9:18], amplitude * amplitude, rotation, e1, e2, cos, sin, kappa, sinh, other)
-    # The amplitude's own derivative: d log A = -(da + db)/2 + d log K.
-    for k in range(2, 4):
-        gradient[k] -= 0.5 * td
-        other[k] -= dd
-    gradient[5] += log_k_slope * td
-    other[5] += 2.0 * log_k_slope * dd
     if not dd > 0.0:
         value, by_td, by_dd = 0.0, 0.0, 0.0
     elif setting[HELD] > 0.0:
@@ -232,17 +186,36 @@ def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient,
     else:
         rho = td / dd
         value, by_td, by_dd = -setting[SCALE] * rho * td, -2.0 * setting[SCALE] * rho, setting[SCALE] * rho * rho
-    for k in range(PARAMETERS):
-        gradient[k] = by_td * gradient[k] + by_dd * other[k]
-    for i in range(2):
-        log_eigenvalue = l1 if i == 0 else l2
-        outside = max(log_eigenvalue - setting[LOG_HIGH], 0.0) - max(setting[LOG_LOW] - log_eigenvalue, 0.0)
-        value += WALL * outside * outside
-        slope = 2.0 * WALL * outside
-        along, across = (cos, sin) if i == 0 else (-sin, cos)
-        gradient[2] += slope * along * along
-        gradient[3] += slope * across * across
-        gradient[4] += slope * 2.0 * along * across
+    # The moments of by_td TD + by_dd DD, and from here on the chain rule, once.
+    of_t, of_d = by_td * amplitude, by_dd * squared
+    uu, uv, vv = of_t * sums[1] + of_d * sums[8], of_t * sums[2] + of_d * sums[9], of_t * sums[3] + of_d * sums[10]
+    along1, along2 = 2.0 * s1 * (of_t * sums[4] + of_d * sums[11]), 2.0 * s2 * (of_t * sums[5] + of_d * sums[12])
+    sinh = 0.5 * (s2 * s2 - s1 * s1) / (s1 * s2)
+    delta = 0.5 * (l1 - l2)
+    kappa = sinh / delta if delta > 1e-4 else 1.0
+    k = 1.0 / (1.0 + inverse)
+    twist = -4.0 * sinh * uv * k
+    by_t, by_b = along1 * cos - along2 * sin, along1 * sin + along2 * cos
+    across = -n_x * n_y * k
+    gradient[0] = inverse * (by_t * (1.0 - n_x * n_x * k) + by_b * across - twist * n_y)
+    gradient[1] = inverse * (by_t * across + by_b * (1.0 - n_y * n_y * k) + twist * n_x)
+    cs, cross = cos * sin, 2.0 * kappa * uv
+    # The amplitude's own derivative: d log A = -(da + db)/2 + d log K.
+    whole = by_td * td + 2.0 * by_dd * dd
+    gradient[2] = cs * cross - cos * cos * uu - sin * sin * vv - 0.5 * whole
+    gradient[3] = -cs * cross - sin * sin * uu - cos * cos * vv - 0.5 * whole
+    gradient[4] = 2.0 * cs * (vv - uu) - (cos * cos - sin * sin) * cross
+    gradient[5] = of_t * sums[6] + of_d * sums[13] + log_k_slope * whole
+    if l1 > setting[LOG_HIGH] or l2 < setting[LOG_LOW]:
+        for i in range(2):
+            log_eigenvalue = l1 if i == 0 else l2
+            outside = max(log_eigenvalue - setting[LOG_HIGH], 0.0) - max(setting[LOG_LOW] - log_eigenvalue, 0.0)
+            value += WALL * outside * outside
+            slope = 2.0 * WALL * outside
+            along, across = (cos, sin) if i == 0 else (-sin, cos)
+            gradient[2] += slope * along * along
+            gradient[3] += slope * across * across
+            gradient[4] += slope * 2.0 * along * across
     outside = max(theta[5] - setting[SHAPE_HIGH], 0.0) - max(setting[SHAPE_LOW] - theta[5], 0.0)
     value += WALL * outside * outside
     gradient[5] += 2.0 * WALL * outside

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from brdffit._jit import kernel, types
 from brdffit.halfangle.density import half_angle_density
 from brdffit.halfangle.frame import half_powers, tangent_frame
+from brdffit.models.elementary import inverse_root, reciprocal
 from brdffit.models.ggx import profile  # bound anew for other source models
 from brdffit.models.ggx import profile as ggx_profile
 
@@ -96,7 +97,9 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
         u_x, u_y, u_z = real(xx * t_x + xy * b_x), real(xx * t_y + xy * b_y), real(xx * t_z + xy * b_z)
         v_x, v_y, v_z = real(xy * t_x + yy * b_x), real(xy * t_y + yy * b_y), real(xy * t_z + yy * b_z)
         n_x, n_y, n_z = real(lobes[i, 0]), real(lobes[i, 1]), real(lobes[i, 2])
-        for j in range(first, last):
+        # In whole vectors: what is written beyond the last node the next lobe writes anew. With an index that has no
+        # sign, and so none that counts from the end, the loop vectorises.
+        for j in range(np.uint64(first), np.uint64(min(first + (last - first + 15) // 16 * 16, size))):
             h_x[j] = along[j] * u_x + across[j] * v_x + n_x
             h_y[j] = along[j] * u_y + across[j] * v_y + n_y
             h_z[j] = along[j] * u_z + across[j] * v_z + n_z
@@ -104,16 +107,14 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
     share = real(half_angle_density(1.0, exponent) / size)
     cubic = exponent == 3
     for j in range(size):
-        scale = real(1.0) / np.sqrt(h_x[j] * h_x[j] + h_y[j] * h_y[j] + h_z[j] * h_z[j])
+        scale = inverse_root(h_x[j] * h_x[j] + h_y[j] * h_y[j] + h_z[j] * h_z[j])
         z = h_z[j] * scale
         h_x[j] *= scale
         h_y[j] *= scale
         h_z[j] = z
         up = max(z, real(0.0))
         weight[j] = share * (up * up * up if cubic else up)
-    for row in range(RED, DENSITY + 1):
-        for j in range(size):
-            nodes[row, j] = real(0.0)
+    nodes[RED : DENSITY + 1] = real(0.0)
 
 
 @kernel
@@ -210,7 +211,9 @@ def tabulate_type(floats):  # type: ignore[no-untyped-def]
 @kernel
 def weigh_nodes(nodes):
     """WEIGHT, MEASURE <- w / (N p) once the table is full. A node that no lobe reaches (p = 0) carries no weight."""
+    density, weight, measure = nodes[DENSITY], nodes[WEIGHT], nodes[MEASURE]
     for j in range(nodes.shape[1]):
-        p = nodes[DENSITY, j]
-        nodes[WEIGHT, j] = nodes[WEIGHT, j] / p if p > 0.0 else 0.0
-        nodes[MEASURE, j] = nodes[WEIGHT, j]
+        w = weight[j] * reciprocal(max(density[j], real(1e-30)))
+        w = w if density[j] > real(0.0) else real(0.0)
+        weight[j] = w
+        measure[j] = w

@@ -5,58 +5,65 @@ D(h) = sqrt((p_u+2)(p_v+2)) / (2 pi) (n.h)^((p_u x_u^2 + p_v x_v^2) / (1 - (n.h)
 In the roughness tensor (p = 2 / alpha^2 - 2 along each axis, so P = 2 Sigma^-1 - 2 I): x'P x = 2 q - 2 (1 - C), hence
 the exponent is 2 q / (1 - C) - 2, and with (n.h) = sqrt C
 
-    D = 1 / (pi sqrt(det Sigma)) exp(q L(C)) / C,      L(C) = log(C) / (1 - C).
+    D = 1 / (pi sqrt(det Sigma)) exp((q - (1 - C)) L(C)),      L(C) = log(C) / (1 - C).
 
-As C -> 1 the quotient L is 0/0 and tends to -1 (it is there, not at n.h -> 0, that the paper's form degenerates): a
-series in 1 - C takes over. At p_u = p_v this is Blinn-Phong exactly.
+As C -> 1 the quotient L is 0/0 and tends to -1 (it is there, not at n.h -> 0, that the paper's form degenerates): what
+is 0 is left out of the logarithm there. At p_u = p_v this is Blinn-Phong exactly.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from brdffit._jit import inline
 from brdffit.models import Model
-from brdffit.models.elementary import exp_negative, log_positive
+from brdffit.models.elementary import exp_negative, log_parts, reciprocal
 
 real = np.float32
 
 _LEAST_C = 1e-6
+_LN2 = math.log(2.0)
+# From here on log C = u Q with u = C - 1 (see log_parts), and so L = -Q.
+_NEAR = 0.75
 
 
 @inline
 def log_quotient(C):
-    """L = log(C) / (1 - C) and dL/dC = (1/C + L) / (1 - C); series in v = 1 - C where v < 0.1.
+    """L = log(C) / (1 - C) and dL/dC = (1 + C L) / (C (1 - C)); for C above 3/4 L = -Q and dL/dC a minimax polynomial.
 
-    log(1 - v) / v = -(1 + v/2 + v^2/3 + ...); the first dropped term is v^6/7 < 2e-7.
+    Both are good to a few 1e-7 of their value, that polynomial to 7e-6.
     """
+    k, u, quotient = log_parts(C)
     v = real(1.0) - C
-    near = v < real(0.1)
-    safe = real(0.5) if near else v
-    quotient = log_positive(real(1.0) - safe) / safe
-    slope = (real(1.0) / (real(1.0) - safe) + quotient) / safe
-    series = real(1 / 2) + v * (real(1 / 3) + v * (real(1 / 4) + v * (real(1 / 5) + v * real(1 / 6))))
-    series = real(-1.0) - v * series
-    series_slope = real(1 / 2) + v * (real(2 / 3) + v * (real(3 / 4) + v * (real(4 / 5) + v * real(5 / 6))))
-    return (series if near else quotient), (series_slope if near else slope)
+    inverse = reciprocal(C * v)
+    near = C > real(_NEAR)
+    L = -quotient if near else (k * real(_LN2) + u * quotient) * (C * inverse)
+    series = real(1.6943826180654333)
+    series = series * u + real(-0.5857504991900313)
+    series = series * u + real(0.7701566853635152)
+    series = series * u + real(-0.6660261758776561)
+    series = series * u + real(0.5000031707453986)
+    return L, (series if near else (real(1.0) + C * L) * inverse)
 
 
 @inline
 def profile(q, C, s):
-    """exp(q L(C)) / C."""
+    """exp((q - (1 - C)) L(C))."""
     C = max(C, real(_LEAST_C))
-    quotient, _ = log_quotient(C)
-    return exp_negative(min(q * quotient, real(0.0))) / C
+    L, _ = log_quotient(C)
+    return exp_negative((q - (real(1.0) - C)) * L)
 
 
 @inline
 def profile_gradient(q, C, s):
-    """g = exp(q L) / C; dg/dq = g L; dg/dC = g (q L' - 1 / C)."""
+    """g = exp((q - (1 - C)) L); dg/dq = g L; dg/dC = g ((q - (1 - C)) L' + L)."""
     C = max(C, real(_LEAST_C))
-    r = real(1.0) / C
-    quotient, slope = log_quotient(C)
-    g = exp_negative(min(q * quotient, real(0.0))) * r
-    return g, g * quotient, g * (q * slope - r), real(0.0)
+    L, slope = log_quotient(C)
+    beyond = q - (real(1.0) - C)
+    g = exp_negative(beyond * L)
+    return g, g * L, g * (beyond * slope + L), real(0.0)
 
 
 @inline

@@ -10,7 +10,7 @@ import numpy as np
 
 from brdffit._jit import inline
 from brdffit.models import Model
-from brdffit.models.elementary import exp_negative
+from brdffit.models.elementary import exp_negative, reciprocal
 
 real = np.float32
 
@@ -21,14 +21,14 @@ _LEAST_C = 1e-6
 @inline
 def profile(q, C, s):
     """exp(-q / C) / C^2."""
-    r = real(1.0) / max(C, real(_LEAST_C))
+    r = reciprocal(max(C, real(_LEAST_C)))
     return exp_negative(-q * r) * r * r
 
 
 @inline
 def profile_gradient(q, C, s):
     """g = exp(-q / C) / C^2; dg/dq = -g / C; dg/dC = g (q / C - 2) / C."""
-    r = real(1.0) / max(C, real(_LEAST_C))
+    r = reciprocal(max(C, real(_LEAST_C)))
     x = q * r
     g = exp_negative(-x) * r * r
     return g, -g * r, g * (x - real(2.0)) * r, real(0.0)

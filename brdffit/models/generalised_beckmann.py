@@ -15,37 +15,39 @@ import numpy as np
 
 from brdffit._jit import inline
 from brdffit.models import Model
-from brdffit.models.elementary import exp_negative, log_positive
+from brdffit.models.elementary import exp_negative, log_positive, reciprocal
 
 real = np.float32
 
 _LEAST_C = 1e-6
-# x^p at x = 0 would need log 0; at 1e-30 the profile is 1 to float32 for every p >= 0.4.
-_LEAST_X = 1e-30
+# q stands in a denominator; at 1e-20 the profile is 1 to float32 for every p >= 0.4.
+_LEAST_Q = 1e-20
+# y is capped at e^5: exp(-e^5) is 0 in any precision.
+_MOST_LOG_Y = 5.0
 
 
 @inline
 def profile(q, C, s):
     """exp(-(q / C)^p) / C^2 with p = exp(s)."""
-    r = real(1.0) / max(C, real(_LEAST_C))
-    x = max(q * r, real(_LEAST_X))
-    p = real(math.exp(s))
-    y = exp_negative(min(p * log_positive(x) - real(5.0), real(0.0))) * real(math.exp(5.0))
+    r = reciprocal(max(C, real(_LEAST_C)))
+    log_x = log_positive(max(q, real(_LEAST_Q)) * r)
+    y = exp_negative(min(real(math.exp(s)) * log_x, real(_MOST_LOG_Y)))
     return exp_negative(-y) * r * r
 
 
 @inline
 def profile_gradient(q, C, s):
     """With x = q / C, y = x^p: dg/dq = -g p y / q; dg/dC = g (p y - 2) / C; dg/ds = -g p y log x."""
-    r = real(1.0) / max(C, real(_LEAST_C))
-    x = max(q * r, real(_LEAST_X))
+    C, q = max(C, real(_LEAST_C)), max(q, real(_LEAST_Q))
+    inverse = reciprocal(q * C)
+    r = q * inverse
+    log_x = log_positive(q * r)
     p = real(math.exp(s))
-    log_x = log_positive(x)
-    # y is capped at e^5: exp(-e^5) is 0 in any precision, and exp_negative wants arguments <= 0.
-    y = exp_negative(min(p * log_x - real(5.0), real(0.0))) * real(math.exp(5.0))
+    y = exp_negative(min(p * log_x, real(_MOST_LOG_Y)))
     g = exp_negative(-y) * r * r
-    py = p * y
-    return g, -g * py * r / x, g * (py - real(2.0)) * r, -g * py * log_x
+    minus_py = -p * y
+    slope = g * minus_py
+    return g, slope * (C * inverse), g * (real(-2.0) - minus_py) * r, slope * log_x
 
 
 @inline
