@@ -40,9 +40,9 @@ real = np.float32
 HORIZON = True
 
 # Columns of a lobe: normal; roughness tensor (xx, yy, xy), or alpha^2 alone where the base is isotropic; shape;
-# footprint weight times specular RGB; mixture weight; K(shape) of the model's normalisation; what the spread of normals
-# inside the sample's own part of the footprint adds to the tensor (xx, yy, xy); scale of the lobe nearest to the average
-# over that part.
+# footprint weight times specular RGB; mixture weight; K(shape) of the model's normalisation, times GAIN; twice the
+# covariance of normals inside the sample's own part of the footprint (xx, yy, xy); scale of the lobe nearest to the
+# average over that part.
 NORMAL, TENSOR, ALPHA_SQUARED, SHAPE, SPECULAR, MIXTURE, NORMALISATION, SPREAD, GAIN = 0, 3, 3, 6, 7, 10, 11, 12, 15
 LOBE_COLUMNS = 16
 
