@@ -193,19 +193,9 @@ def fit_texel(
     expected = NOT_KNOWN
     if search.allowed > 0.0 and some and base.isotropic:
         expected = closed_form(
-            lobes,
-            count,
-            base.grey,
-            search.held,
-            red,
-            green,
-            blue,
-            search.response,
-            search.allowed,
-            theta,
-            report,
+            lobes, count, base.grey, search.held, red, green, blue, search.response, search.allowed, theta, report,
             scratch.work,
-        )
+        )  # fmt: skip
         if expected <= search.allowed and within_domain(theta, search):
             return FLAT if expected <= FLAT_EXCESS else CLOSED_FORM
     isotropic = search.free & FREE_ANISOTROPY == 0

@@ -31,9 +31,6 @@ DENSE = {"nodes": 2048, "samples": (16, 32)}
 SMOOTH, NEEDLES = 0.05, 0.1
 #: Needles of nearly one height all over a footprint whose strata are cut: Ashikhmin and Shirley's leave 12%.
 MANY_NEEDLES = 0.15
-#: Lobes whose normal lies within 5 degrees of the horizon, and half of which below it: slopes of 12, 17 and 27 are as
-#: good by the nodes that found them, and differ by 1.4 dB by others.
-AT_HORIZON = 0.25
 
 
 @dataclass(frozen=True)
@@ -292,8 +289,7 @@ CASES = (
     Case("two channels", "z is the root of a negative number where x and y are too long",
          _two_channels, slack=NEEDLES),  # steep ones too, cut into a lobe and three quarters a sample: 8% (Beckmann)
     Case("steep beside upright", "moments of slopes explode: LEAN went to -12.6 dB", _steep(6.0)),
-    Case("horizon beside upright", "slopes of 10^4 squared drown everything else", _steep(1e4),
-         slack=AT_HORIZON),
+    Case("horizon beside upright", "slopes of 10^4 squared drown everything else", _steep(1e4)),
     Case("all steep", "the fitted normal wants a slope beyond any bound", _all_steep),
     Case("roughness one", "lobes ask for alpha > 1; a GGX lobe of alpha 1 is constant but for its horizon",
          lambda model: surface(SIZE, alpha=1.0, spread=0.5, model=model), bistable=_FREE),
