@@ -20,17 +20,22 @@ from brdffit.halfangle.frame import tensor_of_log
 from brdffit.halfangle.patch import (
     alike,
     bilinear,
+    bilinear_of,
     corners,
     edges,
     hash_of,
     in_one_patch,
     leaned,
+    least,
+    most,
     narrowed,
     narrowest,
+    reflecting,
     slopes_of,
     spread_tensor,
     unit,
     weighed,
+    weighted,
     weights_of,
     wrapped,
 )
@@ -39,6 +44,8 @@ from brdffit.models import get_model
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 
+# Factor by which colours of a patch differ from which on their share in its average counts.
+_COLOURED = 1.05
 # Samples of one stratum and axis at most: a mirror of alpha 0.002 beside a wall wants more than anyone can pay.
 _MOST_CUTS = 16
 # A footprint that asks for more samples than there is room for is gathered again with a longer step.
@@ -184,7 +191,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
     for k in range(9):
         diffuse_moment[k] = 0.0
     roughness, tensors = (0.0, 0.0, 0.0, 0.0), (none, none, none, none)
-    rough_x, rough_y, gain = 0.0, 0.0, 1.0
+    rough_x, rough_y, colour_x, colour_y, gain = 0.0, 0.0, 0.0, 0.0, 1.0
     mean_spread = 0.0
     count, wanted = 0, 0
     room = lobes.shape[0] - 1 - strata.x.size * strata.y.size
@@ -210,6 +217,8 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                 )  # fmt: skip
             else:
                 tensors = corners(base.log_roughness, i0, i1, j0, j1)
+            sums = reflecting(colours)
+            coloured = most(sums) > _COLOURED * least(sums)
             # Strata an axis that are sampled apart, and samples an axis in each.
             apart_x, apart_y, cuts_x, cuts_y = many_x, many_y, 1, 1
             inverse = 0.0
@@ -221,7 +230,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                 turn_x, turn_y = size_x * size_x * turn_x * inverse, size_y * size_y * turn_y * inverse
                 merge_x = many_x > 1 and many_x * many_x * turn_x < strata.merge * strata.merge
                 merge_y = many_y > 1 and many_y * many_y * turn_y < strata.merge * strata.merge
-                if (merge_x or merge_y) and alike(colours, tensors, roughness, base.isotropic):
+                if (merge_x or merge_y) and alike(sums, tensors, roughness, base.isotropic):
                     apart_x, apart_y = 1 if merge_x else many_x, 1 if merge_y else many_y
                 if turn_x > step * step or turn_y > step * step:
                     cuts_x = max(min(math.ceil(math.sqrt(turn_x) / step), _MOST_CUTS), 1)
@@ -254,13 +263,19 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                     fx = x + (m + 0.5) * part_x
                     lobe = lobes[count]
                     w = weights_of(fx, fy)
+                    colour_x, colour_y = 0.0, 0.0
                     n, length = unit(bilinear(normals, w))
                     lobe[0], lobe[1], lobe[2] = n
                     if base.isotropic:
-                        r = w[0] * roughness[0] + w[1] * roughness[1] + w[2] * roughness[2] + w[3] * roughness[3]
+                        r = bilinear_of(roughness, w)
                         rough_x, rough_y = slopes_of(roughness, fx, fy)
                         rough_x, rough_y = rough_x / r, rough_y / r
                         narrower, gain = narrowed(rough_x, rough_y, part_x, part_y)
+                        if coloured:
+                            colour_x, colour_y = slopes_of(sums, fx, fy)
+                            inverse_sum = 1.0 / max(bilinear_of(sums, w), 1e-6)
+                            colour_x, colour_y = colour_x * inverse_sum, colour_y * inverse_sum
+                            narrower *= weighted(rough_x, rough_y, colour_x, colour_y, part_x, part_y)
                         lobe[ALPHA_SQUARED] = (r * r) * (r * r) * narrower
                     else:
                         a, b, c = bilinear(tensors, w)
@@ -275,8 +290,9 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                     lobe[MIXTURE], lobe[GAIN] = weight, gain
                     lobe[SPREAD], lobe[SPREAD + 1], lobe[SPREAD + 2] = none
                     if spreads:
-                        if base.isotropic and rough_x * rough_x + rough_y * rough_y > 1e-4:
-                            lean_x, lean_y = -4.0 * part_x * part_x * rough_x, -4.0 * part_y * part_y * rough_y
+                        if base.isotropic and (coloured or rough_x * rough_x + rough_y * rough_y > 1e-4):
+                            lean_x = part_x * part_x * (colour_x - 4.0 * rough_x)
+                            lean_y = part_y * part_y * (colour_y - 4.0 * rough_y)
                             lobe[0], lobe[1], lobe[2] = leaned(n, length, normals, fx, fy, lean_x, lean_y)
                         xx, yy, xy = spread_tensor(n, normals, fx, fy, part_x / length, part_y / length)
                         lobe[SPREAD], lobe[SPREAD + 1], lobe[SPREAD + 2] = xx, yy, xy

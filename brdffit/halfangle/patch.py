@@ -53,6 +53,12 @@ def weights_of(fx, fy):
 
 
 @inline
+def bilinear_of(four, w):
+    """A number between the four texels of a patch."""
+    return w[0] * four[0] + w[1] * four[1] + w[2] * four[2] + w[3] * four[3]
+
+
+@inline
 def bilinear(texels, w):
     """Three channels between the four texels of a patch."""
     a, b, c, d = texels
@@ -104,10 +110,15 @@ def most(of):
 
 
 @inline
-def alike(colours, tensors, roughness, isotropic):
-    """Whether colour and roughness of the four texels differ so little that one sample may stand for all."""
+def reflecting(colours):
+    """What each of the four texels reflects: the sum of its channels."""
     a, b, c, d = colours
-    sums = (a[0] + a[1] + a[2], b[0] + b[1] + b[2], c[0] + c[1] + c[2], d[0] + d[1] + d[2])
+    return a[0] + a[1] + a[2], b[0] + b[1] + b[2], c[0] + c[1] + c[2], d[0] + d[1] + d[2]
+
+
+@inline
+def alike(sums, tensors, roughness, isotropic):
+    """Whether colour and roughness of the four texels differ so little that one sample may stand for all."""
     if most(sums) > _BRIGHTER * least(sums):
         return False
     if isotropic:
@@ -172,6 +183,13 @@ def narrowed(by_x, by_y, size_x, size_y):
     v = 16.0 / 12.0 * (size_x * size_x * by_x * by_x + size_y * size_y * by_y * by_y)
     narrower = 1.0 / (1.0 + 0.625 * v)
     return narrower, 1.0 - 0.32 * (1.0 - narrower)
+
+
+@inline
+def weighted(rough_x, rough_y, colour_x, colour_y, size_x, size_y):
+    """Factor of alpha^2 where the logs of roughness and of the colour change together across a part of a patch."""
+    covariance = 4.0 / 12.0 * (size_x * size_x * rough_x * colour_x + size_y * size_y * rough_y * colour_y)
+    return min(max(1.0 + covariance, 0.5), 2.0)
 
 
 @inline

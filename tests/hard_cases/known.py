@@ -17,7 +17,6 @@ KNOWN: dict[tuple[str, str, str], str] = {
     ("turned", "two channels", "generalised-beckmann"): _OPTIMA,
     ("turned", "steep beside upright", "ggx"): _OPTIMA,
     ("turned", "horizon beside upright", "ggx"): _OPTIMA,
-    ("continuous", "horizon beside upright", "ggx"): _OPTIMA,
     **{("believed", _JUMPS, model): _STRATA for model in MODELS},
 }
 
