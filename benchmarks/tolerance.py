@@ -12,14 +12,11 @@ from benchmarks.record import Section, Target
 from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.status import CLOSED_FORM, FLAT
 from brdffit.halfangle.apparent_lobe import base_of
-from brdffit.halfangle.measure import random_texels, snr
+from brdffit.halfangle.measure import PERFECT_DB, random_texels, snr
 from brdffit.methods import BakeOptions
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 TOLERANCE = 0.1
-#: dB above which levels count as equally good: errors below 1e-5 of the light show in no picture, and sums in single
-#: precision hardly tell them apart.
-_PERFECT = 50.0
 #: Texels of levels 0 to 4 that are timed, and of each how many are measured.
 _TIMED, _MEASURED = (8192, 8192, 2048, 512, 96), 128
 
@@ -31,7 +28,7 @@ def measure_tolerance(materials: Path, quick: bool) -> Section:
         "Tolerance",
         f"--tolerance {TOLERANCE} against --quality standard on the same random texels of levels 0 to 4, GGX, box "
         "filter. Seconds per megatexel of the base (processor seconds, one thread). Behind: mean over levels of the "
-        f"half-angle SNR that is missing to fine quality, all above {_PERFECT:g} dB counting as that. Shares are of "
+        f"half-angle SNR that is missing to fine quality, all above {PERFECT_DB:g} dB counting as that. Shares are of "
         "level 0.",
     )
     for name, path in accuracy_sets(materials, quick).items():
@@ -75,7 +72,7 @@ def _row(name: str, svbrdf: Svbrdf) -> dict[str, object]:
         error = few.measure(lobes, nodes=2048, samples=(16, 64)).error
         for k, way in enumerate(ways):
             seconds[way] += min(took[way]) / len(sample) * size[0] * size[1] / (svbrdf.size[0] * svbrdf.size[1])
-            behind[way].append(max(min(snr(error[2]), _PERFECT) - min(snr(error[k]), _PERFECT), 0.0))
+            behind[way].append(max(min(snr(error[2]), PERFECT_DB) - min(snr(error[k]), PERFECT_DB), 0.0))
     return {
         "set": name,
         "standard s": 1e6 * seconds["standard"],

@@ -32,7 +32,7 @@ from brdffit.fitting.texel import Search
 from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter, iter_pyramid
 from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, strata
 from brdffit.halfangle.density import DENSITY_EXPONENTS
-from brdffit.halfangle.measure import random_texels
+from brdffit.halfangle.measure import PERFECT_DB, random_texels
 from brdffit.halfangle.quadrature import lattice
 from brdffit.halfangle.response import NO_RESPONSE, response_of
 from brdffit.methods import LOSSES, BakeOptions, Level, Progress, Pyramid, one_of
@@ -187,11 +187,10 @@ def tolerant(
     """``search`` for one level under ``options.tolerance``: how much error each shortcut of a texel may cost.
 
     A level's SNR is the mean of its texels' errors e_i; it may grow by a share t = 10^(dB/10) - 1. What the closed form
-    loses rises with the eighth power of how much lobes differ, so hardly a texel comes near what any one of them may:
-    at 3 t times the mean error for one, all of them together took less than a tenth of t on 21 real sets
-    (``benchmarks --only tolerance`` shows the sum). Few nodes may cost a texel t / 3, an early stop t / 8: those every
-    texel pays. The mean error comes from random texels that are fitted without shortcuts; a small level is not worth
-    them.
+    loses rises with the eighth power of how much lobes differ, so hardly a texel comes near what any one of them may,
+    3 t times the mean error (``benchmarks --only tolerance`` shows what becomes of it). Few nodes may cost a texel
+    t / 3, an early stop t / 8: those every texel pays. The mean error comes from random texels that are fitted without
+    shortcuts; a small level is not worth them. Errors are counted from ``PERFECT_DB`` on.
     """
     if options.tolerance is None:
         return search
@@ -203,7 +202,7 @@ def tolerant(
     columns, rows = random_texels(size, _PILOT_TEXELS, seed=mip_level)
     pilot = make_output(len(columns))
     fit_texels(base, rules, columns, rows, search, pilot, kernels)
-    spare = share * float(pilot.residual.mean())
+    spare = share * max(float(pilot.residual.mean()), 10.0 ** (-0.1 * PERFECT_DB))
     search = search._replace(floor=spare / 3.0)
     if not search.same_model or search.free & FREE_SHAPE or search.loss != LOSS_CODES["l2"] or base.has_shape:
         return search

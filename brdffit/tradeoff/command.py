@@ -10,13 +10,14 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from brdffit.halfangle.measure import PERFECT_DB
 from brdffit.machine import machine
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 from brdffit.textures.atomic import check_writable, first_other, replacing
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.texture_set import read_texture_set
 from brdffit.tradeoff.drawing import draw
-from brdffit.tradeoff.front import PERFECT, choices
+from brdffit.tradeoff.front import choices
 from brdffit.tradeoff.record import Tradeoff
 from brdffit.tradeoff.run import QUICK, Size, measure_set
 
@@ -116,7 +117,7 @@ def as_markdown(found: Tradeoff) -> str:
         "light and viewer, whole specular BRDF, levels 1, 3 and 5; energy kept; the front: no way to the same end is "
         "faster and better; what each dB costs that a way on the front has over the one before.\n",
         "## What the front says of the presets\n\nBehind: half-angle SNR missing to the best way of a set, mean of the "
-        f"sets, levels above {PERFECT:g} dB counting as that. Time: over that of standard, geometric mean.\n",
+        f"sets, levels above {PERFECT_DB:g} dB counting as that. Time: over that of standard, geometric mean.\n",
         _markdown_table(_CHOICE_HEAD, _choice_rows(found)),
         "\n## Every way\n",
         _markdown_table(_HEAD, _rows(found)),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import msgspec
 
+from brdffit.halfangle.measure import PERFECT_DB
 from brdffit.tradeoff.record import Choice, Point
 from brdffit.tradeoff.ways import SETTING
 
@@ -35,8 +36,6 @@ def with_front(points: Sequence[Point]) -> list[Point]:
 
 #: What each preset may lose to the best way, in dB.
 ALLOWED = {"draft": 0.5, "standard": 0.1, "fine": 0.03}
-#: dB above which all is equally good: errors below 1e-5 of the light show in no picture.
-PERFECT = 50.0
 
 
 def choices(points: Sequence[Point]) -> list[Choice]:
@@ -74,7 +73,7 @@ def _summary(figures: Sequence[tuple[float, float]]) -> tuple[float, float, floa
 
 
 def _seen_db(point: Point) -> float:
-    return sum(min(decibels, PERFECT) for decibels in point.levels_db) / len(point.levels_db)
+    return sum(min(decibels, PERFECT_DB) for decibels in point.levels_db) / len(point.levels_db)
 
 
 def _is(point: Point, group: str, name: str) -> bool:
