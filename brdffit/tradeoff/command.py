@@ -91,8 +91,7 @@ def _solver_rows(found: Tradeoff) -> list[tuple[str, ...]]:
 
 
 _CHOICE_HEAD = (
-    "preset", "may lose, dB", "cheapest setting within", "time", "dB behind", "worst set",
-    "the preset: time", "dB behind", "worst set",
+    "preset", "may lose", "cheapest setting within that", "time", "dB", "worst", "preset: time", "dB", "worst",
 )  # fmt: skip
 
 
@@ -116,8 +115,10 @@ def as_markdown(found: Tradeoff) -> str:
         "forms: a whole bake); half-angle SNR, mean of these levels in dB; rendered: SNR of radiance over pairs of "
         "light and viewer, whole specular BRDF, levels 1, 3 and 5; energy kept; the front: no way to the same end is "
         "faster and better; what each dB costs that a way on the front has over the one before.\n",
-        "## What the front says of the presets\n\nBehind: half-angle SNR missing to the best way of a set, mean of the "
-        f"sets, levels above {PERFECT_DB:g} dB counting as that. Time: over that of standard, geometric mean.\n",
+        "## What the front says of the presets\n\nThe cheapest setting of samples and nodes that loses no more than a "
+        "preset may, then the preset itself. Half-angle SNR in dB that is missing to the best way of a set, mean of the "
+        f"sets and the worst of them, levels above {PERFECT_DB:g} dB counting as that. Time: over that of standard, "
+        "geometric mean.\n",
         _markdown_table(_CHOICE_HEAD, _choice_rows(found)),
         "\n## Every way\n",
         _markdown_table(_HEAD, _rows(found)),
@@ -145,7 +146,11 @@ def show(found: Tradeoff, output: Path) -> None:
                 table.add_row(*row[1:], style="bold" if row[1] == "preset" else None)
         console.print(table)
     if found.choices:
-        table = Table(title="What the front says of the presets (time over standard's)", box=None, title_justify="left")
+        table = Table(
+            title="What the front says of the presets: time over standard's, dB behind the best",
+            box=None,
+            title_justify="left",
+        )
         for k, head in enumerate(_CHOICE_HEAD):
             table.add_column(head, justify="left" if k in (0, 2) else "right")
         for row in _choice_rows(found):
