@@ -65,10 +65,10 @@ picture: data/sets/made
 
 # pytest itself fails when no test ran.
 test: install
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(OPTIONS)
 
 test-slow: install
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow $(OPTIONS)
 
 bench: install
 	$(BIN)/python -m benchmarks --quick -o bench

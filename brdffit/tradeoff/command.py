@@ -116,9 +116,9 @@ def as_markdown(found: Tradeoff) -> str:
         "light and viewer, whole specular BRDF, levels 1, 3 and 5; energy kept; the front: no way to the same end is "
         "faster and better; what each dB costs that a way on the front has over the one before.\n",
         "## What the front says of the presets\n\nThe cheapest setting of samples and nodes that loses no more than a "
-        "preset may, then the preset itself. Half-angle SNR in dB that is missing to the best way of a set, mean of the "
-        f"sets and the worst of them, levels above {PERFECT_DB:g} dB counting as that. Time: over that of standard, "
-        "geometric mean.\n",
+        "preset may, then the preset itself. Half-angle SNR in dB that is missing to the best way of a set, mean of "
+        f"the sets and the worst of them, levels above {PERFECT_DB:g} dB counting as that. Time: over that of "
+        "standard, geometric mean.\n",
         _markdown_table(_CHOICE_HEAD, _choice_rows(found)),
         "\n## Every way\n",
         _markdown_table(_HEAD, _rows(found)),
