@@ -268,7 +268,7 @@ CASES = (
     Case("two needles far apart", "the start between them is a plateau of the error",
          _two_needles, bistable=_SWAP, slack=NEEDLES),
     Case("needle beside wide lobes", "nodes of the wide lobe fall on the needle and weigh too much",
-         _needle_beside_wide),
+         _needle_beside_wide, slack=NEEDLES),  # turned, the measure itself misses by 14% (generalised Beckmann)
     Case("needle that hardly reflects", "sampling by energy leaves the peak that L2 asks for without a node",
          _faint_mirror, bistable=_SWAP),
     Case("grooves of needles", "a needle between the nodes costs nothing there",
