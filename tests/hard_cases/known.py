@@ -14,7 +14,6 @@ _STRATA = "two samples a texel, cut where normals turn but not where roughness j
 
 _JUMPS = "roughness that jumps from texel to texel"
 KNOWN: dict[tuple[str, str, str], str] = {
-    ("turned", "steep beside upright", "ggx"): _OPTIMA,
     ("turned", "horizon beside upright", "ggx"): _OPTIMA,
     **{("believed", _JUMPS, model): _STRATA for model in MODELS},
 }
