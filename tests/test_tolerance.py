@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from hard_cases.catalogue import CASES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_fitting import bake, check, errors, surface
@@ -104,6 +105,19 @@ def test_the_closed_form_is_as_near_to_the_best_lobe_as_it_promises(spread, alph
     noise = 2e-6 + 0.01 * error[1]
     assert error[0] - error[1] <= promised + noise
     assert abs(own - error[0]) <= 0.35 * error[0] + promised + noise
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name.replace(" ", "-"))
+def test_the_closed_form_is_finite_or_left_alone_in_hard_cases(case):
+    """Served whatever it promises: opposite normals have no mean, mirrors beside walls no small difference."""
+    if case.only and "ggx" not in case.only:
+        return
+    sample = case.sample("ggx")
+    rules, search = sample.settings()
+    found = search._replace(allowed=1e20, response=response(held=search.held))
+    lobes, output = sample.fit(settings=(rules, found))
+    assert np.isfinite(lobes.theta).all() and np.isfinite(lobes.scale).all() and np.isfinite(output.residual).all()
+    assert (output.normal[:, 2] > 0).all()
 
 
 def test_what_is_not_free_stays():
