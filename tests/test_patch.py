@@ -95,6 +95,19 @@ def test_leans_tensor_misses_by_more(turn):
     assert lean > 1.3 * missed(target, lobe(at, tensor))
 
 
+@pytest.mark.parametrize("turn", [2.0, 3.5, 5.0])
+def test_a_wide_part_has_the_nearest_lobe_that_keeps_its_energy(turn):
+    base = patch(turn, 0.0, 1.0)
+    target, (at, tensor, _) = truth(base) / base.specular[0, 0, 0], sample(base)
+
+    def error(v):
+        return float(((target - lobe(v[:2], (np.exp(v[2]), np.exp(v[3]), 0.0))) ** 2).sum() / (target**2).sum())
+
+    start = [*at, *np.log(tensor[:2])]
+    best = minimize(error, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-9, "maxiter": 2000}).fun
+    assert error(start) <= best * 1.03
+
+
 def test_the_weight_of_a_narrow_part_follows_the_best_scale():
     base = patch(0.3, 0.3, 1.0)
     target, (at, tensor, weight) = truth(base), sample(base)

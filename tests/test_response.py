@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from brdffit.fitting.batch import model_kernels
+from brdffit.halfangle.closed_forms import widening_at
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.response import (
     ALPHAS,
@@ -61,6 +62,17 @@ def test_widening_of_each_model_is_what_its_sharpest_lobe_answers(model):
     assert 2.0 * found[2, 0, 0][3] == pytest.approx(size, rel=0.05)
     assert 2.0 * found[2, 0, 0][4] == pytest.approx(stretch, rel=0.05)
     assert found[2, 0, 0][0] / (2.0 * found[2, 0, 0][3]) == pytest.approx(gain, abs=0.005)
+
+
+def test_ggx_widens_less_where_it_is_not_sharp_as_the_table_says():
+    size, stretch, _ = get_model("ggx").widening
+    for row, alpha in zip(table("ggx")[:, -1], ALPHAS, strict=True):
+        found = answers(row)[2, 0, 0] if np.isfinite(row[0]) else None
+        at_alpha = widening_at.py_func((size, stretch, 0.0), alpha * alpha)
+        if alpha <= 0.7 and found is not None:
+            assert at_alpha[0] == pytest.approx(2.0 * found[3], rel=0.1)
+        if alpha <= 0.4 and found is not None:
+            assert at_alpha[1] == pytest.approx(2.0 * found[4], rel=0.1)
 
 
 @pytest.mark.parametrize("model", MODELS)

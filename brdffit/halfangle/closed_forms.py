@@ -188,8 +188,8 @@ def closed_forms(lobes, count, isotropic_base, starts, isotropic):
 def widening_at(widening, alpha_squared):
     """The numbers of ``Model.widening`` for a lobe that is not sharp.
 
-    On the sphere a wide lobe widens less: so does the table of brdffit.halfangle.response, by this much to within a
-    tenth for GGX up to alpha = 0.7.
+    On the sphere a wide lobe widens less: by this much, to within a tenth of what the table of
+    brdffit.halfangle.response says of GGX, the stretch up to alpha = 0.4 and the size up to 0.7.
     """
     size, stretch, gain = widening
     less = 1.0 / (1.0 + 2.0 * alpha_squared * (1.0 + alpha_squared))
@@ -205,7 +205,7 @@ def widen_lobes(lobes, count, isotropic, widening):
     size and scale (``Model.widening``, derived in brdffit.halfangle.response): what is left of the difference then
     moves the fit in second order only. Where C is large its scale would be too much: from afar, where many parts
     overlap, it is their energy that counts. There it is the nearest of scale 1, which is Sigma + stretch C (for a sharp
-    GGX lobe on paper: log alpha^2 alone follows c (8 u^3 - 12 u^4) by 3 c), within 1% of the best up to five widths.
+    GGX lobe on paper: log alpha^2 alone follows c (8 u^3 - 12 u^4) by 3 c).
     """
     for i in range(count):
         xx, yy, xy, least = tensor_of(lobes, i, isotropic)

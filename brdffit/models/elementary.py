@@ -90,26 +90,27 @@ def _layout(kind: ir.Type) -> tuple[int, ir.IntType]:
     return (23, ir.IntType(32)) if isinstance(kind, ir.FloatType) else (52, ir.IntType(64))
 
 
-@intrinsic
-def on_integer_grid(typingctx, x):  # type: ignore[no-untyped-def]
-    """x + 1.5 * 2^23 (or 2^52), a number whose last bits are the integer next to x. It must not be reassociated."""
+def _by_the_grid(operation: str):  # type: ignore[no-untyped-def]
+    """Code that adds or subtracts 1.5 * 2^23 (or 2^52), beyond which floats are integers. It is not reassociated."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         kind = args[0].type
-        return builder.fadd(args[0], ir.Constant(kind, 1.5 * 2.0 ** _layout(kind)[0]), flags=("contract",))
+        grid = ir.Constant(kind, 1.5 * 2.0 ** _layout(kind)[0])
+        return getattr(builder, operation)(args[0], grid, flags=("contract",))
 
-    return x(x), codegen
+    return codegen
+
+
+@intrinsic
+def on_integer_grid(typingctx, x):  # type: ignore[no-untyped-def]
+    """A number whose last bits are the integer next to x."""
+    return x(x), _by_the_grid("fadd")
 
 
 @intrinsic
 def off_integer_grid(typingctx, x):  # type: ignore[no-untyped-def]
     """The integer that ``on_integer_grid`` rounded to, as a float."""
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        kind = args[0].type
-        return builder.fsub(args[0], ir.Constant(kind, 1.5 * 2.0 ** _layout(kind)[0]), flags=("contract",))
-
-    return x(x), codegen
+    return x(x), _by_the_grid("fsub")
 
 
 @intrinsic

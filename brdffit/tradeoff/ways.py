@@ -41,6 +41,7 @@ class Way:
 def ways() -> list[Way]:
     """All that is tried, the closed forms first."""
     standard = get_quality("standard")
+    # Not every set has the heights that the method of that name filters.
     found = [Way("method", name, method=name) for name in method_names() if name not in (FIT, "height")]
     found += [Way("preset", name, options=BakeOptions(quality=name)) for name in QUALITIES]
     found += [Way("tolerance", f"{dB:g} dB", options=BakeOptions(tolerance=dB)) for dB in TOLERANCES]
