@@ -16,7 +16,7 @@ from brdffit.fitting.status import CLOSED_FORM, FALLBACK
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of, gather_lobes, normalise_mixture, strata
 from brdffit.halfangle.measure import random_texels, snr
-from brdffit.halfangle.quadrature import LOBE_COLUMNS
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, LOBE_COLUMNS, SPECULAR
 from brdffit.halfangle.response import response_of
 from brdffit.methods import BakeOptions
 
@@ -118,6 +118,15 @@ def test_the_closed_form_is_finite_or_left_alone_in_hard_cases(case):
     lobes, output = sample.fit(settings=(rules, found))
     assert np.isfinite(lobes.theta).all() and np.isfinite(lobes.scale).all() and np.isfinite(output.residual).all()
     assert (output.normal[:, 2] > 0).all()
+
+
+def test_opposite_normals_have_no_mean_to_stand_around():
+    lobes = np.zeros((3, LOBE_COLUMNS))
+    lobes[:2, 0], lobes[:2, ALPHA_SQUARED], lobes[:2, GAIN] = (1.0, -1.0), 0.01, 1.0
+    lobes[:2, SPECULAR : SPECULAR + 3] = 0.5
+    theta, report = np.zeros(6), np.zeros(4)
+    excess = closed_form(lobes, 2, True, False, 1.0, 1.0, 1.0, response(), 1.0, theta, report, np.zeros(WORK))
+    assert excess > 1.0 and not theta.any()
 
 
 def test_what_is_not_free_stays():
