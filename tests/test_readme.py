@@ -38,8 +38,13 @@ def folder(tmp_path_factory):
     return folder
 
 
+# What a make that runs these tests hands down to a make within them: its options and its command line's variables.
+HANDED_DOWN = {"MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES", "OPTIONS", "OUT", "SET", "SETS", "LIB", "SCENE"}
+
+
 def run(command, folder):
-    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    inherited = {name: value for name, value in os.environ.items() if name not in HANDED_DOWN}
+    environment = inherited | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
