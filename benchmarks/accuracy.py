@@ -10,14 +10,10 @@ import numpy as np
 
 from benchmarks.materials import NAMED, accuracy_sets, load_any
 from benchmarks.record import Section, Target
-from brdffit.fitting.method import search_settings
-from brdffit.fitting.presets import get_quality
 from brdffit.fitting.sampling import LevelSample, Lobes
-from brdffit.fitting.solvers import oracle
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.measure import lobe_parameters, random_texels, snr
 from brdffit.methods import BakeOptions, get_method
-from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 ORACLE_GAP, MARGIN = 0.1, 2.5
@@ -59,7 +55,7 @@ def measure_accuracy(
 
 def compare_set(name: str, svbrdf: Svbrdf, texels: int, qualities: tuple[str, ...], levels: int = LEVELS) -> list[dict]:
     """One row a level."""
-    model, base = get_model("ggx"), base_of(svbrdf)
+    base = base_of(svbrdf)
     sizes = level_sizes(svbrdf.size, levels)
     closed = {each: get_method(each).bake(svbrdf, BakeOptions(levels=levels)) for each in CLOSED_FORMS}
     rows = []
@@ -73,12 +69,7 @@ def compare_set(name: str, svbrdf: Svbrdf, texels: int, qualities: tuple[str, ..
         for quality in qualities:
             lobes[quality] = sample.fit(BakeOptions(quality=quality))[0]
         lobes["held"] = sample.fit(BakeOptions(specular="held"))[0]
-        search = search_settings(BakeOptions(), get_quality("standard"), base, model, model)
-        given = np.stack([lobes[quality].theta for quality in qualities])
-        best = oracle(
-            base, svbrdf.size, size, *at, search=search, kernels=sample.kernels(), given=given, threads=_THREADS
-        )
-        lobes["oracle"] = Lobes(best.theta, best.scale)
+        lobes["oracle"] = sample.best([lobes[quality] for quality in qualities])
         error = sample.measure(list(lobes.values())).error
         figures = {name: min(snr(error[k]), 99.0) for k, name in enumerate(lobes)}
         rival = max(figures["vmf"], figures["lean"])

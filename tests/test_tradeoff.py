@@ -65,7 +65,9 @@ def test_a_setting_that_one_set_lacks_is_not_chosen():
 def test_every_way_has_a_name_of_its_own():
     names = [(way.group, way.name) for way in ways()]
     assert len(set(names)) == len(names)
-    assert {"preset", "tolerance", "nodes", "setting", "model", "float", "method"} <= {group for group, _ in names}
+    assert {"preset", "tolerance", "nodes", "setting", "model", "float", "method", "oracle"} <= {
+        group for group, _ in names
+    }
 
 
 def test_optimisers_agree_where_there_is_one_minimum():
@@ -81,7 +83,11 @@ def written(tmp_path_factory):
     """The command on one shipped set, small and tiny, with fewer ways."""
     folder = tmp_path_factory.mktemp("tradeoff")
     source = make_set("hammered-metal", folder / "sets", size=32)
-    chosen = [way for way in ways() if way.name in ("naive", "lean", "draft", "standard", "0.1 dB", "beckmann", "l1")]
+    chosen = [
+        way
+        for way in ways()
+        if way.name in ("naive", "lean", "draft", "standard", "0.1 dB", "beckmann", "l1", "oracle", "height")
+    ]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "ways", lambda: chosen)
         patch.setattr("brdffit.tradeoff.command.QUICK", TINY)
@@ -101,8 +107,16 @@ def test_records_tables_and_pictures_are_written(written):
         assert each.seconds_per_megatexel > 0 and np.isfinite([each.snr_db, each.rendered_db, each.energy]).all()
         assert each.snr_db == pytest.approx(np.mean(each.levels_db))
     text = (folder / "tradeoff.md").read_text()
-    assert all(f"| {way.name} |" in text for way in chosen) and found.command in text
+    assert all(f"| {each.name} |" in text for each in found.points) and found.command in text
     assert as_markdown(found) == text
+
+
+def test_a_method_that_a_set_has_no_images_for_is_left_out_and_that_is_said(monkeypatch):
+    monkeypatch.setattr(run, "ways", lambda: [way for way in ways() if way.name in ("naive", "height")])
+    said = []
+    points, _ = run.measure_set("set", surface(size=(8, 8), spread=0.1), TINY, said.append)
+    assert [each.name for each in points] == ["naive"]
+    assert [text for text in said if "height is left out" in text and "has none" in text]
 
 
 def test_fits_are_better_than_closed_forms_and_both_are_on_the_front(written):
@@ -110,6 +124,14 @@ def test_fits_are_better_than_closed_forms_and_both_are_on_the_front(written):
     assert found["standard"]["snr_db"] > found["lean"]["snr_db"] > found["naive"]["snr_db"]
     assert found["standard"]["snr_db"] >= found["l1"]["snr_db"]
     assert found["lean"]["front"]
+
+
+def test_the_oracle_is_the_end_of_the_curve(written):
+    """It measures with more nodes than this small truth has: hence the allowance."""
+    found = {each["name"]: each for each in json.loads((written[0] / "tradeoff.json").read_text())["points"]}
+    rivals = [found[name] for name in ("naive", "lean", "draft", "standard", "0.1 dB")]
+    assert all(found["oracle"]["snr_db"] > each["snr_db"] - 0.1 for each in rivals)
+    assert all(found["oracle"]["seconds_per_megatexel"] > 10.0 * each["seconds_per_megatexel"] for each in rivals)
 
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path):

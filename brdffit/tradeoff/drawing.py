@@ -17,9 +17,10 @@ _STYLES = {
     "lobe": ("#5b8c15", "X"),
     "loss": ("#8a5a1a", "*"),
     "float": ("#333333", "p"),
+    "oracle": ("#000000", "H"),
 }
 #: Groups whose points are named in the whole picture, and in the close-up.
-_NAMED, _NAMED_CLOSE = ("method",), ("preset", "tolerance", "nodes", "lobe", "float")
+_NAMED, _NAMED_CLOSE = ("method", "oracle"), ("preset", "tolerance", "nodes", "lobe", "float", "oracle")
 #: What the close-up shows below the best, in dB.
 _CLOSE = 1.6
 

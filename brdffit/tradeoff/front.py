@@ -35,7 +35,7 @@ def with_front(points: Sequence[Point]) -> list[Point]:
 
 
 #: What each preset may lose to the best way, in dB.
-ALLOWED = {"draft": 0.5, "standard": 0.1, "fine": 0.03}
+ALLOWED = {"draft": 0.5, "standard": 0.1, "fine": 0.015}
 
 
 def choices(points: Sequence[Point]) -> list[Choice]:

@@ -23,10 +23,12 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.tradeoff.front import with_front
 from brdffit.tradeoff.record import Point, Solver
 from brdffit.tradeoff.solvers import SOLVER_LEVELS, race
-from brdffit.tradeoff.ways import FIT, Way, ways
+from brdffit.tradeoff.ways import FIT, ORACLE, Way, ways
 
 #: tell(what is done now)
 Tell = Callable[[str], object]
+#: (columns, rows) of each level.
+Texels = Sequence[tuple[NDArray, NDArray]]
 
 
 @dataclass(frozen=True)
@@ -59,14 +61,21 @@ def measure_set(name: str, svbrdf: Svbrdf, size: Size, tell: Tell) -> tuple[list
     sizes = level_sizes(svbrdf.size, len(size.timed))
     texels = [random_texels(each, size.timed[k], seed=_SEED + k) for k, each in enumerate(sizes)]
     tried: list[_Tried] = []
+    measured = [(c[:n], r[:n]) for (c, r), n in zip(texels, size.texels, strict=False)]
     for way in ways():
         tell(f"{name}: {way.group}, {way.name}")
         try:
-            tried.append(_try(way, svbrdf, base, texels, size))
+            if way.method == ORACLE:
+                tried.append(_ask_oracle(way, svbrdf, base, measured, tried))
+            elif way.method == FIT:
+                tried.append(_fit(way, svbrdf, base, texels, size))
+            else:
+                tried.append(_bake(way, svbrdf, texels, size))
         except BrdffitError as error:
+            # Not every set has the heights that a method filters.
             tell(f"{name}: {way.name} is left out. {error}")
     tell(f"{name}: measuring")
-    _measure(tried, svbrdf, base, [(c[:n], r[:n]) for (c, r), n in zip(texels, size.texels, strict=False)], size)
+    _measure(tried, svbrdf, base, measured, size)
     tell(f"{name}: optimisers")
     raced = [LevelSample(svbrdf, k, *texels[k], base=base).subset(size.raced) for k in SOLVER_LEVELS if k < len(sizes)]
     return with_front([each.point(name) for each in tried]), race(name, raced)
@@ -95,31 +104,47 @@ class _Tried:
             levels_db=self.decibels,
         )
 
+    def add(self, lobes: Lobes, sample: LevelSample, seconds: float) -> None:
+        """One more level, at so many seconds a texel of it."""
+        self.lobes.append(lobes)
+        self.seconds += seconds * math.prod(sample.size) / math.prod(sample.base_size)
 
-def _try(way: Way, svbrdf: Svbrdf, base: Base, texels: Sequence[tuple[NDArray, NDArray]], size: Size) -> _Tried:
-    """Lobes and time of one way. Closed forms are baked whole: they cost by the image, not by the texel."""
-    if way.method != FIT:
-        method, options = get_method(way.method), BakeOptions(levels=len(texels))
-        took = []
-        for _ in range(size.repeats + 1):
-            start = time.perf_counter()
-            pyramid = method.bake(svbrdf, options)
-            took.append(time.perf_counter() - start)
-        versions = [(pyramid[k].svbrdf, at) for k, at in enumerate(texels)]
-        lobes = [Lobes(lobe_parameters(v, *at), v.specular[at[1], at[0]].astype(np.float64)) for v, at in versions]
-        return _Tried(way, min(took) / (svbrdf.size[0] * svbrdf.size[1]), lobes)
+
+def _bake(way: Way, svbrdf: Svbrdf, texels: Texels, size: Size) -> _Tried:
+    """A closed form is baked whole: it costs by the image, not by the texel."""
+    method, options = get_method(way.method), BakeOptions(levels=len(texels))
+    took = []
+    for _ in range(size.repeats + 1):
+        start = time.perf_counter()
+        pyramid = method.bake(svbrdf, options)
+        took.append(time.perf_counter() - start)
+    versions = [(pyramid[k].svbrdf, at) for k, at in enumerate(texels)]
+    lobes = [Lobes(lobe_parameters(v, *at), v.specular[at[1], at[0]].astype(np.float64)) for v, at in versions]
+    return _Tried(way, min(took) / math.prod(svbrdf.size), lobes)
+
+
+def _fit(way: Way, svbrdf: Svbrdf, base: Base, texels: Texels, size: Size) -> _Tried:
     tried = _Tried(way, 0.0, [])
     for mip_level, at in enumerate(texels):
         sample = LevelSample(svbrdf, mip_level, *at, way.options, base=base)
-        lobes_of_level, seconds = _timed(sample, way, size.repeats)
-        tried.lobes.append(lobes_of_level)
-        tried.seconds += seconds * sample.size[0] * sample.size[1] / (svbrdf.size[0] * svbrdf.size[1])
+        tried.add(*_timed(sample, way, size.repeats))
     return tried
 
 
-def _measure(
-    tried: Sequence[_Tried], svbrdf: Svbrdf, base: Base, texels: Sequence[tuple[NDArray, NDArray]], size: Size
-) -> None:
+def _ask_oracle(way: Way, svbrdf: Svbrdf, base: Base, texels: Texels, others: Sequence[_Tried]) -> _Tried:
+    """The end of the curve: the best lobes that many starts and two optimisers find, from the presets' on."""
+    tried = _Tried(way, 0.0, [])
+    presets = [each for each in others if each.way.group == "preset"]
+    for mip_level, at in enumerate(texels):
+        sample = LevelSample(svbrdf, mip_level, *at, way.options, base=base)
+        given = [Lobes(*(array[: len(sample)] for array in each.lobes[mip_level])) for each in presets]
+        start = time.process_time()
+        best = sample.best(given)
+        tried.add(best, sample, _per_texel(start, sample))
+    return tried
+
+
+def _measure(tried: Sequence[_Tried], svbrdf: Svbrdf, base: Base, texels: Texels, size: Size) -> None:
     """Fill in the figures: all ways of one lobe model against one truth a texel."""
     for model in dict.fromkeys(each.way.options.model for each in tried):
         own = [each for each in tried if each.way.options.model == model]
@@ -139,16 +164,21 @@ def _measure(
                     each.rendered.append(min(10.0 * math.log10(square.sum() / max(error[k].sum(), 1e-30)), 99.0))
 
 
-def _timed(sample: LevelSample, way: Way, repeats: int) -> tuple[Lobes, float]:
-    """Lobes, and the least of a few times in seconds a texel on all cores; the first run compiles and is not timed."""
+def _timed(sample: LevelSample, way: Way, repeats: int) -> tuple[Lobes, LevelSample, float]:
+    """Lobes of a sample, and the least of a few times; the first run compiles and is not timed."""
     settings = sample.settings(way.options, way.quality)
     sample.subset(1).fit(float_width=way.float_width, settings=settings)
     took = []
     for _ in range(repeats):
         start = time.process_time()
         lobes, _ = sample.fit(float_width=way.float_width, settings=settings)
-        took.append((time.process_time() - start) / (os.cpu_count() or 1))
-    return lobes, min(took) / len(sample)
+        took.append(_per_texel(start, sample))
+    return lobes, sample, min(took)
+
+
+def _per_texel(start: float, sample: LevelSample) -> float:
+    """Seconds a texel since ``start``, were all cores at work."""
+    return (time.process_time() - start) / (os.cpu_count() or 1) / len(sample)
 
 
 def _as_image(lobes: Lobes, model: str, wrap: str) -> Svbrdf:

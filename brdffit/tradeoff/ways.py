@@ -12,9 +12,10 @@ from brdffit.models import model_names
 
 TOLERANCES = (0.5, 0.2, 0.1, 0.03)
 NODES = (32, 96, 320, 1280)
-#: Group of the ways that presets are chosen among: the samples of each preset, with so many nodes on the first rule.
-SETTING, SETTING_NODES = "setting", (64, 96, 160, 256, 384)
-FIT = "bfgs"
+#: Group of the ways that presets are chosen among: each preset, its first rule with so many nodes.
+SETTING, SETTING_NODES = "setting", (64, 96, 160, 256, 384, 640)
+#: What is not the bake of a method: the fit, timed by the texel, and the end of the curve.
+FIT, ORACLE = "bfgs", "oracle"
 
 
 @dataclass(frozen=True)
@@ -22,9 +23,9 @@ class Way:
     """One way to fit a level.
 
     Attributes:
-        group: what is varied: method, preset, tolerance, nodes, setting, model, lobe, loss or float.
+        group: what is varied: method, preset, tolerance, nodes, setting, model, lobe, loss or float; or the oracle.
         name: as shown.
-        method: of the registry; all but "bfgs" are timed as a whole bake.
+        method: of the registry, timed as a whole bake; or FIT or ORACLE.
         options: of the bake.
         quality: overrides the preset of the options, or None.
         float_width: of the sums, 32 or 64.
@@ -39,15 +40,14 @@ class Way:
 
 
 def ways() -> list[Way]:
-    """All that is tried, the closed forms first."""
+    """All that is tried, the closed forms first, the oracle last."""
     standard = get_quality("standard")
-    # Not every set has the heights that the method of that name filters.
-    found = [Way("method", name, method=name) for name in method_names() if name not in (FIT, "height")]
+    found = [Way("method", name, method=name) for name in method_names() if name != FIT]
     found += [Way("preset", name, options=BakeOptions(quality=name)) for name in QUALITIES]
     found += [Way("tolerance", f"{dB:g} dB", options=BakeOptions(tolerance=dB)) for dB in TOLERANCES]
     found += [Way("nodes", f"{n} nodes", quality=fixed_nodes(standard, n)) for n in NODES]
     found += [
-        Way(SETTING, f"samples of {name}, {n} nodes", quality=_setting(name, n))
+        Way(SETTING, f"{name}, {n} nodes", quality=dataclasses.replace(get_quality(name), nodes=(n, 2 * n, 4 * n)))
         for name in QUALITIES
         for n in SETTING_NODES
     ]
@@ -60,17 +60,9 @@ def ways() -> list[Way]:
         Way("loss", "relative", options=BakeOptions(loss="relative")),
         Way("loss", "l1", options=BakeOptions(loss="l1")),
         Way("float", "64-bit sums", float_width=64),
+        Way("oracle", "oracle", method=ORACLE),
     ]
     return found
-
-
-def _setting(samples: str, nodes: int) -> Quality:
-    """The samples of one preset with rules from so many nodes on; all else as in standard."""
-    quality, rules = get_quality(samples), (nodes, 2 * nodes, 4 * nodes)
-    return dataclasses.replace(
-        get_quality("standard"), least=quality.least, most=quality.most, room=quality.room, step=quality.step,
-        merge=quality.merge, nodes=rules,
-    )  # fmt: skip
 
 
 def fixed_nodes(quality: Quality, nodes: int) -> Quality:
