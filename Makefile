@@ -5,6 +5,7 @@ OUT ?= out
 LIB ?= data/sets
 SCENE ?= data/scenes/close-up.toml
 OPTIONS ?=
+WORKERS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
@@ -19,7 +20,7 @@ help:
 	@echo "make tradeoff    [SETS=\"folder ...\"]  what accuracy costs in time: tradeoff/tradeoff.png"
 	@echo "make compare     [SETS=\"folder ...\"]  every method against the reference, on the shipped sets: report/index.html"
 	@echo "make plan        [SCENE=file.toml]  what a scene calls for, and what it costs"
-	@echo "make test        the tests; make test-slow runs those that take long"
+	@echo "make test        the tests, on WORKERS=2 processes; make test-slow runs those that take long"
 	@echo "make bench       speed and accuracy, the short way; make bench-full takes its time"
 	@echo "make lint        ruff and mypy"
 	@echo "make picture     draw docs/preview.png, the picture of the README, anew"
@@ -65,7 +66,7 @@ picture: data/sets/made
 
 # pytest itself fails when no test ran.
 test: install
-	$(BIN)/python -m pytest $(OPTIONS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(OPTIONS)
 
 test-slow: install
 	$(BIN)/python -m pytest -m slow $(OPTIONS)
