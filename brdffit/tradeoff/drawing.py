@@ -20,7 +20,7 @@ _STYLES = {
     "oracle": ("#000000", "H"),
 }
 #: Groups whose points are named in the whole picture, and in the close-up.
-_NAMED, _NAMED_CLOSE = ("method", "oracle"), ("preset", "tolerance", "nodes", "lobe", "float", "oracle")
+_NAMED, _NAMED_CLOSE = ("method", "oracle"), ("preset", "tolerance", "nodes", "lobe", "float")
 #: What the close-up shows below the best, in dB.
 _CLOSE = 1.6
 
@@ -39,10 +39,7 @@ def draw(tradeoff: Tradeoff, folder: Path) -> list[Path]:
         for row, name in zip(axes, sets, strict=True):
             own = [point for point in tradeoff.points if point.set == name]
             _panel(row[0], own, "snr_db", f"{name}: half-angle SNR of the lobe (dB)", _NAMED)
-            fits = [point for point in own if point.group != "method"]
-            floor = max(point.snr_db for point in fits) - _CLOSE
-            close = [point for point in fits if point.snr_db >= floor]
-            _panel(row[1], close, "snr_db", "the fits close up", _NAMED_CLOSE)
+            _close_up(row[1], [point for point in own if point.group != "method"])
             _panel(row[2], own, "rendered_db", "SNR of radiance over pairs of light and viewer (dB)", _NAMED)
         handles, labels = axes[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="lower center", ncols=len(_STYLES), frameon=False)
@@ -54,6 +51,19 @@ def draw(tradeoff: Tradeoff, folder: Path) -> list[Path]:
             written.append(path)
         pyplot.close(figure)
     return written
+
+
+def _close_up(axis, fits: list[Point]) -> None:  # type: ignore[no-untyped-def]
+    """The best fits; the oracle, whose time lies far outside, as a line."""
+    floor = max(point.snr_db for point in fits) - _CLOSE
+    close = [point for point in fits if point.snr_db >= floor and point.group != "oracle"]
+    for point in fits:
+        if point.group == "oracle":
+            seconds = f"oracle, {point.seconds_per_megatexel:,.0f} s"
+            axis.axhline(point.snr_db, color=_STYLES["oracle"][0], linewidth=0.8, linestyle="--", zorder=1)
+            axis.annotate(seconds, (1.0, point.snr_db), xycoords=("axes fraction", "data"), xytext=(-2, 2),
+                          textcoords="offset points", ha="right", va="bottom", fontsize=7)  # fmt: skip
+    _panel(axis, close, "snr_db", "the fits close up", _NAMED_CLOSE)
 
 
 def _panel(axis, points: list[Point], figure: str, title: str, named: tuple[str, ...]) -> None:  # type: ignore[no-untyped-def]
@@ -73,7 +83,7 @@ def _panel(axis, points: list[Point], figure: str, title: str, named: tuple[str,
     decades = max(math.log10(max(times) / min(times)), 0.1)
     axis.set_xlim(0.8 * min(times), max(times) * 10 ** (0.28 * decades))
     for point in sorted(shown, key=lambda each: -getattr(each, figure)):
-        if point.group in named:
+        if point.group in named or (point.group, point.name) == ("preset", "standard"):
             _label(axis, point, getattr(point, figure), taken, (high - low) or 1.0, decades)
     axis.set_xlabel("seconds per megatexel of the base, levels 0 to 5")
     axis.set_title(title, loc="left")

@@ -45,9 +45,7 @@ class Size:
     repeats: int = 2
 
 
-QUICK = Size(
-    (4096, 2048, 512, 96, 32, 16), (96, 96, 64, 32, 16, 16), raced=6, nodes=1024, samples=(16, 48), pairs=128, repeats=1
-)
+QUICK = Size((4096, 2048, 512, 96, 32, 16), (96, 96, 64, 32, 16, 16), raced=6, nodes=1024, samples=(16, 48), pairs=128)
 #: Levels at which radiance is compared too.
 RENDERED = (1, 3, 5)
 # The diffuse part is the filtered one in every way: a difference there would say nothing of the lobe.
