@@ -12,12 +12,12 @@ import math
 from brdffit._jit import inline, kernel
 from brdffit.halfangle.closed_forms import STEEPEST_SLOPE
 from brdffit.halfangle.objective import PARAMETERS
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, NORMALISATION, SHAPE, SPECULAR, SPREAD
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, NORMALISATION, SHAPE, SPECULAR, SPREAD, TENSOR
 from brdffit.halfangle.response import ANSWERS, BY_FIRST, OFF_PLANE, OFF_SCALE, ROW, SECOND, THIRD
 
 _SAFETY = 1.5
-# log alpha^2 lies in this column until the lobes are normalised.
-_LOG = NORMALISATION
+# Columns that hold a lobe's l, t1 and t2 meanwhile: nothing is in them yet, for the lobes are isotropic.
+_LOG, _ALONG, _ACROSS = NORMALISATION, TENSOR + 1, TENSOR + 2
 #: An excess that is not known.
 NOT_KNOWN = 1e30
 #: Below this all lobes are alike.
@@ -51,20 +51,18 @@ def fitted_error(excess):
 
 
 @kernel
-def _own_scales(lobes, count, x, y, z, cos, sin, middle, inverse, m1, m2, norm, row, report):
+def _own_scales(lobes, count, m1, m2, norm, row, report):
     """Scales of channels whose own lobes lie off the common middle, into ``report``[0:3]; returns the error left."""
     error = 0.0
     for channel in range(3):
         total, t1, t2, k = 0.0, 0.0, 0.0, 0.0
         for i in range(count):
-            lobe = lobes[i]
-            w = lobe[SPECULAR + channel]
-            c = w * inverse / max(lobe[0] * x + lobe[1] * y + lobe[2] * z, 0.1)
+            w = lobes[i, SPECULAR + channel]
             total += w
-            t1 += c * (z * (lobe[0] * cos + lobe[1] * sin) - (x * cos + y * sin) * lobe[2])
-            t2 += c * (lobe[1] * cos - lobe[0] * sin)
-            k += w * lobe[_LOG]
-        t1, t2, k = t1 - total * m1, t2 - total * m2, k - total * middle
+            t1 += w * lobes[i, _ALONG]
+            t2 += w * lobes[i, _ACROSS]
+            k += w * lobes[i, _LOG]
+        t1, t2 = t1 - total * m1, t2 - total * m2
         report[channel] = max(
             report[channel] + t1 * row[BY_FIRST] + t2 * row[BY_FIRST + 1] + k * row[BY_FIRST + 2], 0.0
         )
@@ -124,6 +122,7 @@ def closed_form(lobes, count, grey, held, red, green, blue, response, allowed, t
         t1 = scale * (lobe[0] * a_x + lobe[1] * a_y + lobe[2] * a_z)
         t2 = scale * (lobe[1] * cos - lobe[0] * sin)
         k = lobe[_LOG] - middle
+        lobe[_ALONG], lobe[_ACROSS], lobe[_LOG] = t1, t2, k
         t11, t12, t22, kk = t1 * t1, t1 * t2, t2 * t2, k * k
         m1 += w * t1
         m2 += w * t2
@@ -184,6 +183,6 @@ def closed_form(lobes, count, grey, held, red, green, blue, response, allowed, t
     scale = 1.0 if held else gain + scale
     report[0], report[1], report[2] = red * scale, green * scale, blue * scale
     if not grey:
-        error += _own_scales(lobes, count, x, y, z, cos, sin, middle, inverse, m1, m2, norm, row, report)
+        error += _own_scales(lobes, count, m1, m2, norm, row, report)
     report[3] = error
     return excess
