@@ -23,7 +23,7 @@ help:
 	@echo "make test        the tests, on WORKERS=2 processes; make test-slow runs those that take long"
 	@echo "make bench       speed and accuracy, the short way; make bench-full takes its time"
 	@echo "make lint        ruff and mypy"
-	@echo "make picture     draw docs/preview.png, the picture of the README, anew"
+	@echo "make picture     draw the pictures of the README anew: docs/preview.png and docs/tradeoff.png"
 	@echo "make install     the environment in $(VENV), with the command $(BIN)/brdffit"
 	@echo "make clean       remove the environment and all that was made"
 
@@ -63,6 +63,8 @@ picture: data/sets/made
 	$(BIN)/brdffit bake data/sets/grooved-record -o out/picture
 	mkdir -p docs
 	cp out/picture/grooved-record/preview.png docs/preview.png
+	$(BIN)/brdffit tradeoff data/sets/hammered-metal -o out/tradeoff
+	cp out/tradeoff/tradeoff.png docs/tradeoff.png
 
 # pytest itself fails when no test ran.
 test: install
@@ -83,4 +85,4 @@ lint: install
 	$(BIN)/mypy
 
 clean:
-	rm -rf $(VENV) build *.egg-info data/sets out bench report .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	rm -rf $(VENV) build *.egg-info data/sets out bench report tradeoff .pytest_cache .hypothesis .mypy_cache .ruff_cache
