@@ -56,10 +56,19 @@ def test_the_cheapest_setting_within_what_a_preset_may_lose_is_chosen():
     assert chosen["fine"].preset_cost == pytest.approx(4.0)
 
 
+def test_where_no_setting_is_good_enough_the_best_is_shown():
+    found = [
+        point(1, 20, "preset", "fine"), point(1, 20, "preset", "standard"), point(9000, 21, "oracle", "oracle"),
+        point(0.5, 19, "setting", "few"), point(2, 20.5, "setting", "many"),
+    ]  # fmt: skip
+    (fine,) = [each for each in choices(found) if each.preset == "fine"]
+    assert fine.setting == "many" and fine.behind_db == pytest.approx(0.5)
+
+
 def test_a_setting_that_one_set_lacks_is_not_chosen():
     found = [point(1, 20, "preset", "standard"), point(0.5, 20, "setting", "cheap")]
     other = [msgspec.structs.replace(each, set="other") for each in found[:1]]
-    assert [each.setting for each in choices(found)] == ["cheap"] and choices(found + other) == []
+    assert {each.setting for each in choices(found)} == {"cheap"} and choices(found + other) == []
 
 
 def test_every_way_has_a_name_of_its_own():

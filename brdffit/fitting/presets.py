@@ -41,7 +41,7 @@ class Quality:
     iterations: int
 
 
-# `make tradeoff` says of each what the cheapest setting within 0.5, 0.1 and 0.015 dB of the best is.
+# `make tradeoff` says of each what the cheapest setting within 0.5, 0.1 and 0.02 dB of the best is.
 _PRESETS = {
     "draft": Quality(4, 32, 128, 3.0, 1.5, (64, 128, 256), 0.3, 1e-3, 1, 1e-2, 20),
     "standard": Quality(4, 128, 512, 2.5, 1.0, (160, 320, 640), 0.2, 1e-4, 1, 2e-3, 40),

@@ -96,5 +96,7 @@ def _label(axis, point: Point, value: float, taken: list[tuple[float, float]], s
     while any(abs(x - other_x) < 0.22 * decades and abs(y - other_y) < 0.037 * span for other_x, other_y in taken):
         y -= 0.038 * span
     taken.append((x, y))
+    colour = _STYLES[point.group][0]
+    leader = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0.0, "shrinkB": 2.0}
     axis.annotate(point.name, (point.seconds_per_megatexel, value), xytext=(10 ** (x + 0.02 * decades), y), fontsize=7,
-                  color=_STYLES[point.group][0], va="center", zorder=3)  # fmt: skip
+                  color=colour, va="center", zorder=3, arrowprops=leader if y < value else None)  # fmt: skip

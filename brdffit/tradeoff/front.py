@@ -35,11 +35,14 @@ def with_front(points: Sequence[Point]) -> list[Point]:
 
 
 #: What each preset may lose to the best way, in dB.
-ALLOWED = {"draft": 0.5, "standard": 0.1, "fine": 0.015}
+ALLOWED = {"draft": 0.5, "standard": 0.1, "fine": 0.02}
 
 
 def choices(points: Sequence[Point]) -> list[Choice]:
-    """For each preset the cheapest setting within what it may lose, and the preset itself, over all sets."""
+    """For each preset the cheapest setting within what it may lose, and the preset itself, over all sets.
+
+    Where none is within that, it is the setting that loses least.
+    """
     sets: dict[str, list[Point]] = {}
     for point in points:
         if on_the_same_ground(point):
@@ -56,10 +59,12 @@ def choices(points: Sequence[Point]) -> list[Choice]:
     found = {key: _summary(each) for key, each in figures.items() if len(each) == len(sets)}
     chosen = []
     for preset, allowed in ALLOWED.items():
-        within = {name: each for (group, name), each in found.items() if group == SETTING and each[1] <= allowed}
-        if within and ("preset", preset) in found:
-            name = min(within, key=lambda each: within[each][0])
-            chosen.append(Choice(preset, allowed, name, *within[name], *found["preset", preset]))
+        settings = {name: each for (group, name), each in found.items() if group == SETTING}
+        if settings and ("preset", preset) in found:
+            within = {name: each for name, each in settings.items() if each[1] <= allowed}
+            among, figure = (within, 0) if within else (settings, 1)
+            name = min(among, key=lambda each: among[each][figure])
+            chosen.append(Choice(preset, allowed, name, *settings[name], *found["preset", preset]))
     return chosen
 
 
