@@ -63,10 +63,7 @@ from brdffit.halfangle.objective import (
     SHAPE_LOW,
     evaluate,
 )
-from brdffit.halfangle.quadrature import (
-    place_nodes,
-    weigh_nodes,
-)
+from brdffit.halfangle.quadrature import frame_lobes, place_nodes, weigh_nodes
 from brdffit.halfangle.response import Response
 
 real = np.float32
@@ -286,8 +283,9 @@ def fit_by_rule(
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
 ):  # fmt: skip
     """Place the nodes of one rule, fill its table and fit. Returns a status."""
-    place_nodes(lobes, count, lobes_isotropic, rule.points, search.exponent, rule.nodes, scratch.work)
-    tabulate_kernel(lobes, count, lobes_isotropic, base.grey, rule.nodes, scratch.work)
+    frame_lobes(lobes, count, lobes_isotropic)
+    place_nodes(lobes, count, rule.points, search.exponent, rule.nodes)
+    tabulate_kernel(lobes, count, lobes_isotropic, base.grey, rule.nodes)
     weigh_nodes(rule.nodes)
     if search.loss == RELATIVE:
         weigh_relatively(rule.nodes)
