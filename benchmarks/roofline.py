@@ -19,7 +19,7 @@ from brdffit.fitting.sampling import LevelSample
 from brdffit.halfangle.apparent_lobe import gather_lobes
 from brdffit.halfangle.measure import random_texels
 from brdffit.halfangle.objective import MOMENTS
-from brdffit.halfangle.quadrature import LOBE_COLUMNS, NODE_ROWS
+from brdffit.halfangle.quadrature import LOBE_COLUMNS, NODE_ROWS, frame_lobes
 from brdffit.models import model_names
 from brdffit.svbrdf import level_sizes
 from brdffit.tradeoff.ways import fixed_nodes
@@ -153,9 +153,9 @@ def _many_moments(moments, nodes, frame, shape, out, calls):
 
 
 @kernel
-def _many_tables(tabulate, lobes, count, nodes, frame, calls):
+def _many_tables(tabulate, lobes, count, nodes, calls):
     for _ in range(calls):
-        tabulate(lobes, count, True, True, nodes, frame)
+        tabulate(lobes, count, True, True, nodes)
 
 
 def _table() -> Job:
@@ -165,8 +165,9 @@ def _table() -> Job:
     lobes[:, 2] = 1.0
     lobes[:, 3:5] = 0.04
     lobes[:, 7:12] = 1.0 / count
+    frame_lobes(lobes, count, True)
     nodes = np.random.default_rng(0).uniform(0.1, 1.0, (NODE_ROWS, _NODES)).astype(np.float32)
-    arguments = (model_kernels("ggx", "ggx").tabulate, lobes, count, nodes, np.zeros(9), calls)
+    arguments = (model_kernels("ggx", "ggx").tabulate, lobes, count, nodes, calls)
     return lambda: _many_tables(*arguments), calls * (count + 1) * _NODES * TABLE_FLOP
 
 

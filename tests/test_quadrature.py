@@ -30,6 +30,7 @@ from brdffit.halfangle.quadrature import (
     SPECULAR,
     TENSOR,
     WEIGHT,
+    frame_lobes,
     lattice,
     place_nodes,
     weigh_nodes,
@@ -84,10 +85,11 @@ def table(name, model="ggx", shift=(0.5, 0.5, 0.5), anisotropic=False, nodes=NOD
     starts = np.zeros((STARTS, 6))
     closed_forms(lobes, count, not anisotropic, starts, False)
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, *starts[LEAN, :5])
-    out, scratch = np.zeros((NODE_ROWS, nodes), np.float32), np.zeros(64)
-    place_nodes(lobes, count, not anisotropic, lattice(nodes, shift), 3, out, scratch)
+    out = np.zeros((NODE_ROWS, nodes), np.float32)
+    frame_lobes(lobes, count, not anisotropic)
+    place_nodes(lobes, count, lattice(nodes, shift), 3, out)
     normalise_shapes(lobes, count, False, kernels.source_log_normalisation)
-    kernels.tabulate(lobes, count, not anisotropic, False, out, scratch)
+    kernels.tabulate(lobes, count, not anisotropic, False, out)
     weigh_nodes(out)
     return out.astype(float)
 

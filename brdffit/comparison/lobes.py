@@ -26,6 +26,7 @@ from brdffit.halfangle.quadrature import (
     SHAPE,
     SPECULAR,
     TENSOR,
+    frame_lobes,
 )
 from brdffit.models import Model, get_model
 from brdffit.render.metrics import LUMINANCE
@@ -201,6 +202,7 @@ def _values(lobes: NDArray, model_name: str, x: NDArray, y: NDArray) -> NDArray:
     constants = np.exp([model.log_normalisation(float(shape))[0] for shape in shapes])[which]
     table[:, NORMALISATION] = constants * table[:, GAIN]
     table[-1, SPECULAR : SPECULAR + 3] = table[-1, MIXTURE] = 0.0
-    model_kernels(model_name, model_name).tabulate(table, len(lobes), False, False, nodes, np.zeros(64))
+    frame_lobes(table, len(lobes), False)
+    model_kernels(model_name, model_name).tabulate(table, len(lobes), False, False, nodes)
     values = np.einsum("c,cn->n", LUMINANCE, nodes[RED : BLUE + 1]).reshape(x.shape)
     return np.where(height > 0.0, np.maximum(values, 0.0), 0.0)

@@ -1,14 +1,14 @@
 """BFGS for one texel.
 
-The search runs in scaled coordinates z with theta = theta_0 + P z, where P's columns are the Gauss-Newton scale of a
-lobe that fits exactly, so that the first inverse Hessian is the identity. For GGX on the plane, with D = (1 + t^2)^-2 /
-pi and e = |D' - proj D'|^2 / |D|^2 for a change D' of the lobe:
+The first inverse Hessian is the Gauss-Newton one of a lobe that fits exactly. For GGX on the plane, with
+D = (1 + t^2)^-2 / pi and e = |D' - proj D'|^2 / |D|^2 for a change D' of the lobe:
 
 - a shift of the peak by t (in units of alpha): e = 1.2 t^2, so 1 / sqrt(2.4) = 0.65;
 - a common change of log alpha^2: e = 0.15 l^2 with free scale, so 1 / sqrt(0.3) = 1.8;
 - an anisotropic change (a = -b, or c): e = 0.2 d^2, so 1 / sqrt(0.4) = 1.6.
 
-Reduced fits drop columns: isotropic keeps the common change alone, a held normal drops the shifts.
+These are the units of a step's length as well. Reduced fits leave rows of the matrix 0: isotropic keeps the common
+change alone, a held normal has no shifts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import math
 
 from brdffit._jit import inline, kernel
 from brdffit.fitting.status import CONVERGED, FALLBACK, ITERATION_LIMIT, PRECISION_LIMIT
-from brdffit.halfangle.frame import eigen_log
+from brdffit.halfangle.frame import tensor_of_log
 from brdffit.halfangle.objective import PARAMETERS, evaluate
 
 _SHIFT, _SIZE, _STRETCH, _SHAPE = 0.65, 1.8, 1.6, 1.0
@@ -31,36 +31,31 @@ _NOISE = 5e-7
 FREE_NORMAL, FREE_ANISOTROPY, FREE_SHAPE = 1, 2, 4
 
 WORK = 200
-# Where in ``work`` a search keeps its own: the step in theta, gradient by z, step in z, change of that gradient, its
-# product with the inverse Hessian, columns of P, inverse Hessian.
-_TURN, _SLOPES, _STEP, _CHANGE, _IMAGE, _COLUMNS, _INVERSE = 18, 24, 30, 36, 42, 48, 84
-_SQUARE = PARAMETERS * PARAMETERS
+# Where in ``work`` a search keeps its own: the step, the change of the gradient over it, the product of that with the
+# inverse Hessian, and the inverse Hessian.
+_STEP, _CHANGE, _IMAGE, _INVERSE = 18, 24, 30, 36
 
 
 @inline
-def search_columns(theta, free, columns):
-    """Fill ``columns`` (6, 6) with the search directions at theta; returns how many there are."""
+def first_inverse(theta, free, inverse):
+    """Fill ``inverse`` (6, 6) with the inverse Hessian that a search starts from; returns its part for a shift, whether
+    that is free or not, as (xx, yy, xy)."""
     for i in range(PARAMETERS):
         for k in range(PARAMETERS):
-            columns[i, k] = 0.0
-    l1, l2, cos, sin = eigen_log(theta[2], theta[3], theta[4])
-    k = 0
+            inverse[i, k] = 0.0
+    xx, yy, xy = tensor_of_log(theta[2], theta[3], theta[4])
+    # dn is about dm / (1 + m^2) to within the tilt's cosine.
+    lift = _SHIFT * (1.0 + theta[0] * theta[0] + theta[1] * theta[1])
+    xx, yy, xy = lift * lift * xx, lift * lift * yy, lift * lift * xy
     if free & FREE_NORMAL:
-        # dn is about dm / (1 + m^2) to within the tilt's cosine.
-        lift = _SHIFT * (1.0 + theta[0] * theta[0] + theta[1] * theta[1])
-        columns[0, 0], columns[1, 0] = lift * math.exp(0.5 * l1) * cos, lift * math.exp(0.5 * l1) * sin
-        columns[0, 1], columns[1, 1] = -lift * math.exp(0.5 * l2) * sin, lift * math.exp(0.5 * l2) * cos
-        k = 2
-    columns[2, k] = columns[3, k] = _SIZE
-    k += 1
-    if free & FREE_ANISOTROPY:
-        columns[2, k], columns[3, k] = _STRETCH, -_STRETCH
-        columns[4, k + 1] = _STRETCH
-        k += 2
-    if free & FREE_SHAPE:
-        columns[5, k] = _SHAPE
-        k += 1
-    return k
+        inverse[0, 0], inverse[1, 1] = xx, yy
+        inverse[0, 1] = inverse[1, 0] = xy
+    size, stretch = _SIZE * _SIZE, _STRETCH * _STRETCH if free & FREE_ANISOTROPY else 0.0
+    inverse[2, 2] = inverse[3, 3] = size + stretch
+    inverse[2, 3] = inverse[3, 2] = size - stretch
+    inverse[4, 4] = stretch
+    inverse[5, 5] = _SHAPE * _SHAPE if free & FREE_SHAPE else 0.0
+    return xx, yy, xy
 
 
 @kernel
@@ -73,43 +68,32 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
     Returns (value, evaluations, status); theta is never worse than it was.
     """
     gradient, trial_gradient, trial, scratch = work[0:6], work[6:12], work[12:18], work[120:168]
-    size = search_columns(theta, free, work[_COLUMNS : _COLUMNS + _SQUARE].reshape(PARAMETERS, PARAMETERS))
-    # Directions that are not searched have zeros everywhere: loops of a known length are no loops to the compiler.
-    for i in range(_SQUARE):
-        work[_INVERSE + i] = 0.0
-    for i in range(size):
-        work[_INVERSE + i * PARAMETERS + i] = 1.0
-    for i in range(PARAMETERS):
-        s = 0.0
-        for p in range(PARAMETERS):
-            s += work[_COLUMNS + p * PARAMETERS + i] * gradient[p]
-        work[_SLOPES + i] = s
+    step, change, image = work[_STEP : _STEP + 6], work[_CHANGE : _CHANGE + 6], work[_IMAGE : _IMAGE + 6]
+    # Parameters that are not fitted have zeros everywhere: loops of a known length are no loops to the compiler.
+    inverse = work[_INVERSE : _INVERSE + PARAMETERS * PARAMETERS].reshape(PARAMETERS, PARAMETERS)
+    xx, yy, xy = first_inverse(theta, free, inverse)
     evaluations = 0
     for _ in range(most):
         slope = 0.0
-        length = 0.0
         for i in range(PARAMETERS):
             s = 0.0
             for k in range(PARAMETERS):
-                s -= work[_INVERSE + i * PARAMETERS + k] * work[_SLOPES + k]
-            work[_STEP + i] = s
-            slope += s * work[_SLOPES + i]
-            length += s * s
+                s -= inverse[i, k] * gradient[k]
+            step[i] = s
+            slope += s * gradient[i]
         if not math.isfinite(slope):
             return value, evaluations, FALLBACK
         if -0.5 * slope <= max(max(tolerance * (1.0 + value), floor), _NOISE):
             return value, evaluations, CONVERGED
-        for p in range(PARAMETERS):
-            s = 0.0
-            for i in range(PARAMETERS):
-                s += work[_COLUMNS + p * PARAMETERS + i] * work[_STEP + i]
-            work[_TURN + p] = s
+        shift = (yy * step[0] ** 2 + xx * step[1] ** 2 - 2.0 * xy * step[0] * step[1]) / (xx * yy - xy * xy)
+        size, stretch = 0.5 * (step[2] + step[3]) / _SIZE, 0.5 * (step[2] - step[3]) / _STRETCH
+        length = shift + size**2 + stretch**2 + (step[4] / _STRETCH) ** 2 + (step[5] / _SHAPE) ** 2
         t = 1.0 if length <= _LONGEST_STEP * _LONGEST_STEP else _LONGEST_STEP / math.sqrt(length)
         accepted = False
         trial_value = value
         for _ in range(_BACKTRACKS):
             for p in range(PARAMETERS):
-                trial[p] = theta[p] + t * work[_TURN + p]
+                trial[p] = theta[p] + t * step[p]
             trial_value = evaluate(trial, nodes, setting, moments_kernel, log_normalisation, trial_gradient, scratch)
             evaluations += 1
             if trial_value <= value + _ARMIJO * t * slope:
@@ -122,15 +106,10 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
         if not accepted:
             return value, evaluations, PRECISION_LIMIT
         product = 0.0
-        for i in range(PARAMETERS):
-            g = 0.0
-            for p in range(PARAMETERS):
-                g += work[_COLUMNS + p * PARAMETERS + i] * trial_gradient[p]
-            work[_CHANGE + i] = g - work[_SLOPES + i]
-            work[_SLOPES + i] = g
-            work[_STEP + i] *= t
-            product += work[_STEP + i] * work[_CHANGE + i]
         for p in range(PARAMETERS):
+            step[p] *= t
+            change[p] = trial_gradient[p] - gradient[p]
+            product += step[p] * change[p]
             theta[p] = trial[p]
             gradient[p] = trial_gradient[p]
         value = trial_value
@@ -140,13 +119,13 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
             for i in range(PARAMETERS):
                 s = 0.0
                 for k in range(PARAMETERS):
-                    s += work[_INVERSE + i * PARAMETERS + k] * work[_CHANGE + k]
-                work[_IMAGE + i] = s
-                quadratic += work[_CHANGE + i] * s
+                    s += inverse[i, k] * change[k]
+                image[i] = s
+                quadratic += change[i] * s
             share = 1.0 / product
             factor = (1.0 + quadratic * share) * share
             for i in range(PARAMETERS):
-                along, across = factor * work[_STEP + i] - share * work[_IMAGE + i], share * work[_STEP + i]
+                along, across = factor * step[i] - share * image[i], share * step[i]
                 for k in range(PARAMETERS):
-                    work[_INVERSE + i * PARAMETERS + k] += along * work[_STEP + k] - across * work[_IMAGE + k]
+                    inverse[i, k] += along * step[k] - across * image[k]
     return value, evaluations, ITERATION_LIMIT

@@ -4,8 +4,8 @@ The oracle stands beside the fit to say what it left on the table, so it spends 
 every texel (with a point set and jitter of its own: neither those that fit nor those that measure), many starts, and
 two optimisers that know nothing of ours, NLopt's LD_LBFGS (Nocedal 1980) and SciPy's L-BFGS-B (Byrd et al. 1995).
 
-Both walk in the scaled coordinates of ``bfgs.search_columns``, theta = start + P z, and inside a box: without bounds
-LD_LBFGS stalls now and then and reports success.
+Both walk in scaled coordinates, theta = start + P z with P P' the inverse Hessian that our own search starts from, and
+inside a box: without bounds LD_LBFGS stalls now and then and reports success.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy import optimize
 
 from brdffit._jit import numba_type, types
 from brdffit.fitting.batch import ModelKernels
-from brdffit.fitting.bfgs import FREE_ANISOTROPY, search_columns
+from brdffit.fitting.bfgs import FREE_ANISOTROPY, first_inverse
 from brdffit.fitting.scoring import REPORT, RESIDUAL, TARGET_NORM, aim, settle_scale
 from brdffit.fitting.texel import Search
 from brdffit.halfangle import objective, quadrature
@@ -66,7 +66,7 @@ class Problem:
         self.nodes = np.zeros((NODE_ROWS, size), np.float32)
         self.values = np.zeros(size, np.float32)
         self.work, self.scratch, self.report = np.zeros(64), np.zeros(48), np.zeros(REPORT)
-        self.gradient, self.columns = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
+        self.gradient, self.inverse = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
         self.setting = np.array([0.0, 0.0, search.log_low, search.log_high, search.shape_low, search.shape_high])
         self.evaluations = 0
         # Typed by the functions themselves: unboxing a value of function type costs 150 microseconds a call.
@@ -126,8 +126,10 @@ class Problem:
 
     def scaled(self, start: NDArray) -> tuple[NDArray, NDArray]:
         """Columns P (6, k) of the search around ``start``, and how far z may go (k,)."""
-        count = search_columns(start, self.search.free, self.columns)
-        columns = self.columns[:, :count].copy()
+        first_inverse(start, self.search.free, self.inverse)
+        squares, directions = np.linalg.eigh(self.inverse)
+        free = squares > 1e-12 * squares[-1]
+        columns = directions[:, free] * np.sqrt(squares[free])
         reach = np.array([2.0 * STEEPEST_SLOPE, 2.0 * STEEPEST_SLOPE, 30.0, 30.0, 30.0, 30.0])
         with np.errstate(divide="ignore"):
             return columns, np.min(reach[:, None] / np.abs(columns), axis=0)

@@ -63,10 +63,7 @@ from brdffit.halfangle.objective import (
     SHAPE_LOW,
     evaluate,
 )
-from brdffit.halfangle.quadrature import (
-    place_nodes,
-    weigh_nodes,
-)
+from brdffit.halfangle.quadrature import frame_lobes, place_nodes, weigh_nodes
 from brdffit.halfangle.response import Response
 
 real = np.float32
@@ -211,15 +208,12 @@ def fit_texel(
     colour[0], colour[1], colour[2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
     for k in range(3):
         report[RED_SCALE + k] = report[FILTERED + k] = colour[k]
+    start = scratch.starts[LEAN]
+    clamp_to_domain(start, search)
     for p in range(PARAMETERS):
-        theta[p] = scratch.starts[LEAN, p]
-    clamp_to_domain(theta, search)
-    for p in range(PARAMETERS):
-        scratch.best[p] = theta[p]
+        theta[p] = scratch.best[p] = start[p]
     if flat and search.same_model:
         return FLAT if some else NO_SPECULAR
-    clamp_to_domain(scratch.starts[LEAN], search)
-    start = scratch.starts[LEAN]
     add_defensive_lobe(lobes, count, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
     crowded = count > search.crowd * (_FEW_STRATA + strata.x.size * strata.y.size)
@@ -286,8 +280,9 @@ def fit_by_rule(
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
 ):  # fmt: skip
     """Place the nodes of one rule, fill its table and fit. Returns a status."""
-    place_nodes(lobes, count, lobes_isotropic, rule.points, search.exponent, rule.nodes, scratch.work)
-    tabulate_kernel(lobes, count, lobes_isotropic, base.grey, rule.nodes, scratch.work)
+    frame_lobes(lobes, count, lobes_isotropic)
+    place_nodes(lobes, count, rule.points, search.exponent, rule.nodes)
+    tabulate_kernel(lobes, count, lobes_isotropic, base.grey, rule.nodes)
     weigh_nodes(rule.nodes)
     if search.loss == RELATIVE:
         weigh_relatively(rule.nodes)
@@ -372,7 +367,8 @@ def search_from_starts(scratch, nodes, search, follow, moments_kernel, log_norma
             further_starts(scratch.moments, search.free & FREE_ANISOTROPY == 0, starts)
             if search.free & FREE_NORMAL:
                 start_at_peak(nodes, starts[PEAK])
-        clamp_to_domain(starts[i], search)
+        if i > 0:
+            clamp_to_domain(starts[i], search)
         for p in range(PARAMETERS):
             scratch.start[p] = starts[i, p]
             if i == 0:

@@ -198,6 +198,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
     first_y = 0
     while first_y < strata.y.size:
         many_y = 1 if jittered else in_one_patch(strata.y, centre_y, first_y)
+        whole_y, offset_y = weighed(strata.weight_y, first_y, many_y)
         first_x = 0
         while first_x < strata.x.size:
             many_x = 1 if jittered else in_one_patch(strata.x, centre_x, first_x)
@@ -219,8 +220,8 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                 tensors = corners(base.log_roughness, i0, i1, j0, j1)
             sums = reflecting(colours)
             coloured = most(sums) > _COLOURED * least(sums)
-            # Strata an axis that are sampled apart, and samples an axis in each.
-            apart_x, apart_y, cuts_x, cuts_y = many_x, many_y, 1, 1
+            # Along an axis: sampled parts, how many strata one stands for, and into how many samples one is cut.
+            apart_x, apart_y, span_x, span_y, cuts_x, cuts_y = many_x, many_y, 1, 1, 1, 1
             inverse = 0.0
             spreads = False
             if step > 0.0 and not jittered:
@@ -231,7 +232,10 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                 merge_x = many_x > 1 and many_x * many_x * turn_x < strata.merge * strata.merge
                 merge_y = many_y > 1 and many_y * many_y * turn_y < strata.merge * strata.merge
                 if (merge_x or merge_y) and alike(sums, tensors, roughness, base.isotropic):
-                    apart_x, apart_y = 1 if merge_x else many_x, 1 if merge_y else many_y
+                    if merge_x:
+                        apart_x, span_x = 1, many_x
+                    if merge_y:
+                        apart_y, span_y = 1, many_y
                 if turn_x > step * step or turn_y > step * step:
                     cuts_x = max(min(math.ceil(math.sqrt(turn_x) / step), _MOST_CUTS), 1)
                     cuts_y = max(min(math.ceil(math.sqrt(turn_y) / step), _MOST_CUTS), 1)
@@ -241,25 +245,24 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                             cuts_x = (cuts_x + 1) // 2
                         else:
                             cuts_y = (cuts_y + 1) // 2
-                spreads = (many_x // apart_x) ** 2 * turn_x + (many_y // apart_y) ** 2 * turn_y > 1e-3
+                spreads = span_x * span_x * turn_x + span_y * span_y * turn_y > 1e-3
             wanted += apart_x * apart_y
             room += many_x * many_y - apart_x * apart_y * cuts_x * cuts_y
-            part_x, part_y = size_x * (many_x // apart_x) / cuts_x, size_y * (many_y // apart_y) / cuts_y
+            part_x, part_y = size_x * span_x / cuts_x, size_y * span_y / cuts_y
             x += strata.x[first_x] - 0.5 * size_x - x0
             y += strata.y[first_y] - 0.5 * size_y - y0
-            merged_x = merged_y = 0.0
-            if apart_x < many_x:
-                merged_x, offset = weighed(strata.weight_x, first_x, many_x)
-                x += offset * size_x
-            if apart_y < many_y:
-                merged_y, offset = weighed(strata.weight_y, first_y, many_y)
-                y += offset * size_y
+            whole_x = 0.0
+            if span_x > 1:
+                whole_x, offset_x = weighed(strata.weight_x, first_x, many_x)
+                x += offset_x * size_x
+            if span_y > 1:
+                y += offset_y * size_y
             share = 1.0 / (cuts_x * cuts_y)
             for k in range(apart_y * cuts_y):
-                weight_y = share * (merged_y if apart_y < many_y else strata.weight_y[first_y + k // cuts_y])
+                weight_y = share * (whole_y if span_y > 1 else strata.weight_y[first_y + k // cuts_y])
                 fy = y + (k + 0.5) * part_y
                 for m in range(apart_x * cuts_x):
-                    weight = weight_y * (merged_x if apart_x < many_x else strata.weight_x[first_x + m // cuts_x])
+                    weight = weight_y * (whole_x if span_x > 1 else strata.weight_x[first_x + m // cuts_x])
                     fx = x + (m + 0.5) * part_x
                     lobe = lobes[count]
                     w = weights_of(fx, fy)

@@ -36,6 +36,7 @@ from brdffit.halfangle.quadrature import (
     NODE_ROWS,
     RED,
     WEIGHT,
+    frame_lobes,
     lattice,
     place_nodes,
     tabulate_type,
@@ -102,9 +103,10 @@ def target_table(base, strata, points, column, row, exponent, lobes, nodes, work
         lobes, count, DEFENSIVE_SHARE, starts[LEAN, 0], starts[LEAN, 1], min(starts[LEAN, 2], 0.0),
         min(starts[LEAN, 3], 0.0), starts[LEAN, 4],
     )  # fmt: skip
-    place_nodes(lobes, count, isotropic, points, exponent, nodes, work)
+    frame_lobes(lobes, count, isotropic)
+    place_nodes(lobes, count, points, exponent, nodes)
     normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
-    tabulate_kernel(lobes, count, isotropic, base.grey, nodes, work)
+    tabulate_kernel(lobes, count, isotropic, base.grey, nodes)
     weigh_nodes(nodes)
     norm = 0.0
     for j in range(nodes.shape[1]):

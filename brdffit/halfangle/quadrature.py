@@ -28,7 +28,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit._jit import kernel, types
+from brdffit._jit import inline, kernel, types
 from brdffit.halfangle.density import half_angle_density
 from brdffit.halfangle.frame import half_powers, tangent_frame
 from brdffit.models.elementary import inverse_root, reciprocal
@@ -42,9 +42,10 @@ HORIZON = True
 # Columns of a lobe: normal; roughness tensor (xx, yy, xy), or alpha^2 alone where the base is isotropic; shape;
 # footprint weight times specular RGB; mixture weight; K(shape) of the model's normalisation, times GAIN; twice the
 # covariance of normals inside the sample's own part of the footprint (xx, yy, xy); scale of the lobe nearest to the
-# average over that part.
+# average over that part. Then what ``frame_lobes`` makes of normal and tensor.
 NORMAL, TENSOR, ALPHA_SQUARED, SHAPE, SPECULAR, MIXTURE, NORMALISATION, SPREAD, GAIN = 0, 3, 3, 6, 7, 10, 11, 12, 15
-LOBE_COLUMNS = 16
+WIDE_AXES, NARROW_AXES, PEAK = 16, 22, 28
+LOBE_COLUMNS = 29
 
 # Rows of a node array; the last keeps the weights where a loss changes them.
 H_X, H_Y, H_Z, RED, GREEN, BLUE, DENSITY, WEIGHT, MEASURE = range(9)
@@ -68,13 +69,52 @@ def lattice(nodes: int, shift: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> 
     return np.stack([choice, radius * np.cos(angle), radius * np.sin(angle)]).astype(np.float32)
 
 
-@kernel
-def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
-    """Draw the nodes from the mixture of ``lobes[:count + 1]``; their mixture weights must sum to 1.
+@inline
+def _set_axes(lobe, column, matrix, tangents):
+    """From ``column`` on: the rows of a symmetric matrix (xx, yy, xy) over the tangent plane, as vectors in space."""
+    xx, yy, xy = matrix
+    t_x, t_y, t_z, b_x, b_y, b_z = tangents
+    lobe[column], lobe[column + 1], lobe[column + 2] = xx * t_x + xy * b_x, xx * t_y + xy * b_y, xx * t_z + xy * b_z
+    lobe[column + 3], lobe[column + 4], lobe[column + 5] = xy * t_x + yy * b_x, xy * t_y + yy * b_y, xy * t_z + yy * b_z
 
-    The last of them, ``lobes[count]``, is the defensive one; its tensor is always the full one.
+
+@kernel
+def frame_lobes(lobes, count, isotropic):
+    """Fill the columns of ``lobes[:count + 1]`` that ``place_nodes`` and ``tabulate`` read, once for both.
+
+    WIDE_AXES and NARROW_AXES: the rows of Sigma^(1/2) and Sigma^(-1/2) as vectors in space, three numbers each (of an
+    isotropic lobe the first alone); PEAK: 1 / (pi sqrt(det Sigma)). The last lobe, ``lobes[count]``, is the defensive
+    one; its tensor is always the full one.
+    """
+    for i in range(count + 1):
+        lobe = lobes[i]
+        tangents = tangent_frame(lobe[0], lobe[1], lobe[2])
+        if isotropic and i < count:
+            alpha = math.sqrt(lobe[ALPHA_SQUARED])
+            _set_axes(lobe, WIDE_AXES, (alpha, alpha, 0.0), tangents)
+            lobe[PEAK] = 1.0 / (math.pi * lobe[ALPHA_SQUARED])
+        else:
+            wide, narrow, root = half_powers(lobe[TENSOR], lobe[TENSOR + 1], lobe[TENSOR + 2])
+            _set_axes(lobe, WIDE_AXES, wide, tangents)
+            _set_axes(lobe, NARROW_AXES, narrow, tangents)
+            lobe[PEAK] = 1.0 / (math.pi * root)
+
+
+@inline
+def _axes(lobe, column):
+    """The two vectors in space that start at ``column``, in the kernel's float type."""
+    return (
+        real(lobe[column]), real(lobe[column + 1]), real(lobe[column + 2]),
+        real(lobe[column + 3]), real(lobe[column + 4]), real(lobe[column + 5]),
+    )  # fmt: skip
+
+
+@kernel
+def place_nodes(lobes, count, points, exponent, nodes):
+    """Draw the nodes from the mixture of ``lobes[:count + 1]``, framed; their mixture weights must sum to 1.
+
     Writes rows H_X, H_Y, H_Z of ``nodes`` (NODE_ROWS, N) and w(h) / N into WEIGHT (0 below the horizon); clears the
-    table rows. ``frame`` (9,) is scratch.
+    table rows.
     """
     size = points.shape[1]
     along, across = points[1], points[2]
@@ -88,14 +128,7 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
         last = min(math.ceil(reached * size - shift), size) if i < count else size
         if last <= first:
             continue
-        t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(lobes[i, 0], lobes[i, 1], lobes[i, 2])
-        if isotropic and i < count:
-            xx = yy = math.sqrt(lobes[i, ALPHA_SQUARED])
-            xy = 0.0
-        else:
-            (xx, yy, xy), _, _ = half_powers(lobes[i, TENSOR], lobes[i, TENSOR + 1], lobes[i, TENSOR + 2])
-        u_x, u_y, u_z = real(xx * t_x + xy * b_x), real(xx * t_y + xy * b_y), real(xx * t_z + xy * b_z)
-        v_x, v_y, v_z = real(xy * t_x + yy * b_x), real(xy * t_y + yy * b_y), real(xy * t_z + yy * b_z)
+        u_x, u_y, u_z, v_x, v_y, v_z = _axes(lobes[i], WIDE_AXES)
         n_x, n_y, n_z = real(lobes[i, 0]), real(lobes[i, 1]), real(lobes[i, 2])
         # In whole vectors: what is written beyond the last node the next lobe writes anew. With an index that has no
         # sign, and so none that counts from the end, the loop vectorises.
@@ -118,29 +151,20 @@ def place_nodes(lobes, count, isotropic, points, exponent, nodes, frame):
 
 
 @kernel
-def tabulate(lobes, count, isotropic, grey, nodes, frame):
-    """Add every base lobe to the table, T_c(h_j) and p(h_j), and the defensive lobe to p.
+def tabulate(lobes, count, isotropic, grey, nodes):
+    """Add every base lobe, framed, to the table, T_c(h_j) and p(h_j), and the defensive lobe to p.
 
-    ``grey`` says that every lobe has equal channels: one is summed and copied. ``frame`` (9,) is scratch. Base lobes
-    stop at their own horizon (n.h > 0).
+    ``grey`` says that every lobe has equal channels: one is summed and copied. Base lobes stop at their own horizon
+    (n.h > 0).
     """
     size = nodes.shape[1]
     h_x, h_y, h_z = nodes[H_X], nodes[H_Y], nodes[H_Z]
     red, green, blue, density = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[DENSITY]
     for i in range(count + 1):
         base_isotropic = isotropic and i < count
-        if base_isotropic:
-            wide = 1.0 / lobes[i, ALPHA_SQUARED]
-            scale = wide / math.pi
-            inverse = real(wide)
-            u_x = u_y = u_z = v_x = v_y = v_z = inverse
-        else:
-            t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(lobes[i, 0], lobes[i, 1], lobes[i, 2])
-            _, (xx, yy, xy), root = half_powers(lobes[i, TENSOR], lobes[i, TENSOR + 1], lobes[i, TENSOR + 2])
-            u_x, u_y, u_z = real(xx * t_x + xy * b_x), real(xx * t_y + xy * b_y), real(xx * t_z + xy * b_z)
-            v_x, v_y, v_z = real(xy * t_x + yy * b_x), real(xy * t_y + yy * b_y), real(xy * t_z + yy * b_z)
-            scale = 1.0 / (math.pi * root)
-            inverse = real(0.0)
+        u_x, u_y, u_z, v_x, v_y, v_z = _axes(lobes[i], NARROW_AXES)
+        scale = lobes[i, PEAK]
+        inverse = real(math.pi * scale)  # of alpha^2, where the lobe is isotropic
         shape = real(lobes[i, SHAPE])
         k = scale * lobes[i, NORMALISATION]
         a_red = real(k * lobes[i, SPECULAR])
@@ -203,9 +227,7 @@ def tabulate(lobes, count, isotropic, grey, nodes, frame):
 def tabulate_type(floats):  # type: ignore[no-untyped-def]
     """Numba function type of ``tabulate`` on node arrays of this float type."""
     f64 = types.float64
-    return types.FunctionType(
-        types.void(f64[:, ::1], types.int64, types.boolean, types.boolean, floats[:, ::1], f64[::1])
-    )
+    return types.FunctionType(types.void(f64[:, ::1], types.int64, types.boolean, types.boolean, floats[:, ::1]))
 
 
 @kernel

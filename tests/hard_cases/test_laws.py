@@ -11,7 +11,6 @@ from test_halfangle import evaluator
 
 from brdffit.doctor import MISTAKEN_BY, MISTAKEN_TIMES
 from brdffit.fitting.batch import model_kernels
-from brdffit.fitting.bfgs import search_columns
 from brdffit.fitting.method import search_settings
 from brdffit.fitting.presets import get_quality
 from brdffit.fitting.scoring import TARGET_NORM
@@ -174,15 +173,16 @@ def test_gradient_is_the_derivative_at_the_edge_of_the_domain(case, model, evalu
     nodes, kernels = problem.nodes.astype(np.float64), model_kernels(model, model, 64)
     # Off the walls themselves, where the second derivative jumps.
     problem.search = search._replace(log_low=search.log_low + 0.1, log_high=search.log_high - 0.1)
-    columns, checked = np.zeros((6, 6)), 0
+    checked = 0
     for name, theta in edges(problem.clamped(starts[LEAN]), search).items():
-        count = search_columns(theta, search.free, columns)
+        columns, _ = problem.scaled(theta)
+        count = columns.shape[1]
 
-        def value(z, theta=theta, count=count):
+        def value(z, theta=theta, columns=columns):
             gradient = np.zeros(6)
-            found = evaluate_64(theta + columns[:, :count] @ z, nodes, problem.setting, kernels.moments,
+            found = evaluate_64(theta + columns @ z, nodes, problem.setting, kernels.moments,
                                 kernels.log_normalisation, gradient, np.zeros(48))  # fmt: skip
-            return found, gradient @ columns[:, :count]
+            return found, gradient @ columns
 
         at, gradient = value(np.zeros(count))
         assert np.isfinite(at) and np.isfinite(gradient).all(), name
@@ -190,7 +190,7 @@ def test_gradient_is_the_derivative_at_the_edge_of_the_domain(case, model, evalu
             # In steps of the search; float64 sums of polynomials that are good to 1e-7.
             offset = np.zeros(count)
             offset[k] = 1e-3
-            if crosses(nodes, theta, columns[:, :count] @ offset):
+            if crosses(nodes, theta, columns @ offset):
                 continue
             checked += 1
             difference = [value(step * offset)[0] for step in (-2, -1, 1, 2)]
