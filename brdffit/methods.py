@@ -45,7 +45,7 @@ class BakeOptions:
             tails count more than in l2).
         refine: move the texels of each level together, after their fit, so that what a renderer interpolates between
             texels and levels matches in l2; texel centres may lose by it (``residual`` is that of the fit, before).
-        quality: "draft", "standard" or "fine" (quadrature and starts of the nonlinear fit).
+        quality: "draft", "standard" or "fine" (sampling, quadrature and end of the nonlinear fit).
         specular: "free" (best scale in closed form) or "held" (filtered colour, for metallic-roughness outputs).
         lobe: "anisotropic" or "isotropic".
         normal: "free" or "mean" (held at the mean normal).

@@ -201,7 +201,7 @@ def _example(float_width: int) -> tuple[Any, ...]:
     image, plane, line = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32), np.zeros(1)
     level = LevelRules(Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0), 1, (lattice(1),) * TIERS)
     base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, False, True)
-    search = Search(0, False, 3, 0.0, 0.0, 0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0, 0, 0.0, 0.0, 0, 0, NO_RESPONSE)
+    search = Search(0, False, 3, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0, 0, 0.0, 0.0, 0, 0, NO_RESPONSE)
     indices = np.zeros(1, np.int64)
     return base, level.strata, indices, indices, search, *make_workplace(level, float_width), make_output(1)
 

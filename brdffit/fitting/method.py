@@ -163,7 +163,6 @@ def search_settings(options: BakeOptions, quality: Quality, base: Base, source: 
         step=quality.step,
         tolerance=quality.tolerance,
         iterations=quality.iterations,
-        starts=quality.starts,
         log_low=4.0 * math.log(min(options.min_roughness, sharpest)),
         log_high=0.0,
         shape_low=low,

@@ -23,7 +23,6 @@ class Quality:
         nodes: of the half-angle integral, from few to many, on levels 0 and 1; twice as many beyond.
         trusted: disagreement of two half rules, as a share of the residual, above which a texel gets more nodes.
         negligible: disagreement (relative squared error) that never does.
-        starts: how many closed-form starts are followed to the end.
         tolerance: share of the error that a step must still promise.
         iterations: most steps of a search.
     """
@@ -36,16 +35,15 @@ class Quality:
     nodes: tuple[int, int, int]
     trusted: float
     negligible: float
-    starts: int
     tolerance: float
     iterations: int
 
 
 # `make tradeoff` says of each what the cheapest setting within 0.5, 0.1 and 0.02 dB of the best is.
 _PRESETS = {
-    "draft": Quality(4, 32, 128, 3.0, 1.5, (64, 128, 256), 0.3, 1e-3, 1, 1e-2, 20),
-    "standard": Quality(4, 128, 512, 2.5, 1.0, (160, 320, 640), 0.2, 1e-4, 1, 2e-3, 40),
-    "fine": Quality(4, 256, 2048, 2.0, 0.6, (384, 768, 1536), 0.08, 1e-5, 1, 5e-4, 80),
+    "draft": Quality(4, 32, 128, 3.0, 1.5, (64, 128, 256), 0.3, 1e-3, 1e-2, 20),
+    "standard": Quality(4, 128, 512, 2.5, 1.0, (160, 320, 640), 0.2, 1e-4, 2e-3, 40),
+    "fine": Quality(4, 256, 2048, 2.0, 0.6, (384, 768, 1536), 0.08, 1e-5, 5e-4, 80),
 }
 
 

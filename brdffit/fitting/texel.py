@@ -88,13 +88,12 @@ class Search(NamedTuple):
 
     ``free``: mask of what is fitted; ``exponent``: of z.h in the half-angle density; ``step``: how many lobe widths the
     normal may turn from one sample of the footprint to the next; ``tolerance``: share of the error that a step must
-    still promise; ``starts``: how many are followed to the end; bounds of the log eigenvalues and of the shape;
-    ``same_model``: base and pyramid share a lobe model; ``trusted``: largest disagreement of two half rules, as a share
-    of the residual, that is not refined; ``negligible``: disagreement (relative squared error) that never is;
-    ``crowd``: samples a stratum, in the mean, above which the first rule is passed over (16 strata count for twice as
-    many); ``floor``: relative squared error that few nodes, and an early stop, may cost a texel each; ``allowed``: that
-    the closed form may; ``loss``: L2, RELATIVE or L1; ``usual``: the rule that a texel starts with; ``response``: the
-    closed form's table.
+    still promise; bounds of the log eigenvalues and of the shape; ``same_model``: base and pyramid share a lobe model;
+    ``trusted``: largest disagreement of two half rules, as a share of the residual, that is not refined;
+    ``negligible``: disagreement (relative squared error) that never is; ``crowd``: samples a stratum, in the mean,
+    above which the first rule is passed over (16 strata count for twice as many); ``floor``: relative squared error
+    that few nodes, and an early stop, may cost a texel each; ``allowed``: that the closed form may; ``loss``: L2,
+    RELATIVE or L1; ``usual``: the rule that a texel starts with; ``response``: the closed form's table.
     """
 
     free: int
@@ -103,7 +102,6 @@ class Search(NamedTuple):
     step: float
     tolerance: float
     iterations: int
-    starts: int
     log_low: float
     log_high: float
     shape_low: float
@@ -223,8 +221,10 @@ def fit_texel(
         tier = 0
     guards = 0
     while True:
+        # A refined texel has separated peaks more often than not: the highest is worth a search of its own.
+        follow = 2 if tier > search.usual else 1
         status = fit_by_rule(
-            base, lobes, count, lobes_isotropic, some, scratch, rules[tier], search, 1 if tier > search.usual else 0,
+            base, lobes, count, lobes_isotropic, some, scratch, rules[tier], search, follow,
             tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
         )  # fmt: skip
         hidden = abs(report[COVERAGE] - 1.0) > _HIDDEN
@@ -276,10 +276,10 @@ def fall_back(scratch, rule, search, values_kernel, log_normalisation):
 
 @part
 def fit_by_rule(
-    base, lobes, count, lobes_isotropic, some, scratch, rule, search, more_starts,
+    base, lobes, count, lobes_isotropic, some, scratch, rule, search, follow,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
 ):  # fmt: skip
-    """Place the nodes of one rule, fill its table and fit. Returns a status."""
+    """Place the nodes of one rule, fill its table, fit from the first ``follow`` starts at least. Returns a status."""
     frame_lobes(lobes, count, lobes_isotropic)
     place_nodes(lobes, count, rule.points, search.exponent, rule.nodes)
     tabulate_kernel(lobes, count, lobes_isotropic, base.grey, rule.nodes)
@@ -291,8 +291,6 @@ def fit_by_rule(
         colour[k] = scratch.report[FILTERED + k]
     if not some or colour[0] + colour[1] + colour[2] <= 0.0:
         colour[0] = colour[1] = colour[2] = 1.0
-    # A refined texel has separated peaks more often than not: the highest is worth a search of its own.
-    follow = min(search.starts + more_starts, STARTS)
     status = fit_on_nodes(scratch, rule, search, follow, moments_kernel, values_kernel, log_normalisation)
     if search.loss == L1 and status != FALLBACK:
         report = scratch.report
