@@ -55,8 +55,8 @@ def draw(tradeoff: Tradeoff, folder: Path) -> list[Path]:
 
 def _close_up(axis, fits: list[Point]) -> None:  # type: ignore[no-untyped-def]
     """The best fits; the oracle, whose time lies far outside, as a line."""
-    floor = max(point.snr_db for point in fits) - _CLOSE
-    close = [point for point in fits if point.snr_db >= floor and point.group != "oracle"]
+    reached = max(point.snr_db for point in fits if point.group != "oracle")
+    close = [point for point in fits if point.snr_db >= reached - _CLOSE and point.group != "oracle"]
     for point in fits:
         if point.group == "oracle":
             seconds = f"oracle, {point.seconds_per_megatexel:,.0f} s"
