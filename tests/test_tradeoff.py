@@ -140,7 +140,6 @@ def test_the_oracle_is_the_end_of_the_curve(written):
     found = {each["name"]: each for each in json.loads((written[0] / "tradeoff.json").read_text())["points"]}
     rivals = [found[name] for name in ("naive", "lean", "draft", "standard", "0.1 dB")]
     assert all(found["oracle"]["snr_db"] > each["snr_db"] - 0.1 for each in rivals)
-    assert all(found["oracle"]["seconds_per_megatexel"] > 10.0 * each["seconds_per_megatexel"] for each in rivals)
 
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path):

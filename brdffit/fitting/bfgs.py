@@ -36,6 +36,11 @@ WORK = 200
 _STEP, _CHANGE, _IMAGE, _INVERSE = 18, 24, 30, 36
 
 
+def directions_of(free: int) -> int:
+    """How many parameters, or directions among them, a mask lets go."""
+    return 1 + 2 * bool(free & FREE_NORMAL) + 2 * bool(free & FREE_ANISOTROPY) + bool(free & FREE_SHAPE)
+
+
 @inline
 def first_inverse(theta, free, inverse):
     """Fill ``inverse`` (6, 6) with the inverse Hessian that a search starts from; returns its part for a shift, whether

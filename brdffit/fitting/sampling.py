@@ -132,7 +132,11 @@ class LevelSample:
         return Lobes(theta, output.specular.astype(np.float64)), output
 
     def best(self, given: list[Lobes]) -> Lobes:
-        """The oracle's lobes of these texels, never worse by its own rule than those given; 10 ms a texel and more."""
+        """The best lobes of these texels that ``brdffit.fitting.solvers.oracle`` finds, their scale free.
+
+        By its own rule they are never worse than any of those given, one lobe a texel each. Effects that the options
+        leave out are simulated all the same. Takes hundreds of times as long as the fit (``brdffit tradeoff``).
+        """
         # Its optimisers are two libraries that a bake has no use for.
         from brdffit.fitting.solvers import oracle
 

@@ -22,7 +22,7 @@ from scipy import optimize
 
 from brdffit._jit import numba_type, types
 from brdffit.fitting.batch import ModelKernels
-from brdffit.fitting.bfgs import FREE_ANISOTROPY, first_inverse
+from brdffit.fitting.bfgs import FREE_ANISOTROPY, directions_of, first_inverse
 from brdffit.fitting.scoring import REPORT, RESIDUAL, TARGET_NORM, aim, settle_scale
 from brdffit.fitting.texel import Search
 from brdffit.halfangle import objective, quadrature
@@ -128,8 +128,9 @@ class Problem:
         """Columns P (6, k) of the search around ``start``, and how far z may go (k,)."""
         first_inverse(start, self.search.free, self.inverse)
         squares, directions = np.linalg.eigh(self.inverse)
-        free = squares > 1e-12 * squares[-1]
-        columns = directions[:, free] * np.sqrt(squares[free])
+        # What is not free are the zeros among the eigenvalues, which ascend.
+        held = PARAMETERS - directions_of(self.search.free)
+        columns = directions[:, held:] * np.sqrt(squares[held:])
         reach = np.array([2.0 * STEEPEST_SLOPE, 2.0 * STEEPEST_SLOPE, 30.0, 30.0, 30.0, 30.0])
         with np.errstate(divide="ignore"):
             return columns, np.min(reach[:, None] / np.abs(columns), axis=0)

@@ -44,7 +44,7 @@ HORIZON = True
 # covariance of normals inside the sample's own part of the footprint (xx, yy, xy); scale of the lobe nearest to the
 # average over that part. Then what ``frame_lobes`` makes of normal and tensor.
 NORMAL, TENSOR, ALPHA_SQUARED, SHAPE, SPECULAR, MIXTURE, NORMALISATION, SPREAD, GAIN = 0, 3, 3, 6, 7, 10, 11, 12, 15
-WIDE_AXES, NARROW_AXES, PEAK = 16, 22, 28
+WIDE_AXES, NARROW_AXES, HEIGHT = 16, 22, 28
 LOBE_COLUMNS = 29
 
 # Rows of a node array; the last keeps the weights where a loss changes them.
@@ -83,8 +83,8 @@ def frame_lobes(lobes, count, isotropic):
     """Fill the columns of ``lobes[:count + 1]`` that ``place_nodes`` and ``tabulate`` read, once for both.
 
     WIDE_AXES and NARROW_AXES: the rows of Sigma^(1/2) and Sigma^(-1/2) as vectors in space, three numbers each (of an
-    isotropic lobe the first alone); PEAK: 1 / (pi sqrt(det Sigma)). The last lobe, ``lobes[count]``, is the defensive
-    one; its tensor is always the full one.
+    isotropic lobe the first alone); HEIGHT: a GGX lobe's, 1 / (pi sqrt(det Sigma)). The last lobe, ``lobes[count]``, is
+    the defensive one; its tensor is always the full one.
     """
     for i in range(count + 1):
         lobe = lobes[i]
@@ -92,12 +92,12 @@ def frame_lobes(lobes, count, isotropic):
         if isotropic and i < count:
             alpha = math.sqrt(lobe[ALPHA_SQUARED])
             _set_axes(lobe, WIDE_AXES, (alpha, alpha, 0.0), tangents)
-            lobe[PEAK] = 1.0 / (math.pi * lobe[ALPHA_SQUARED])
+            lobe[HEIGHT] = 1.0 / (math.pi * lobe[ALPHA_SQUARED])
         else:
             wide, narrow, root = half_powers(lobe[TENSOR], lobe[TENSOR + 1], lobe[TENSOR + 2])
             _set_axes(lobe, WIDE_AXES, wide, tangents)
             _set_axes(lobe, NARROW_AXES, narrow, tangents)
-            lobe[PEAK] = 1.0 / (math.pi * root)
+            lobe[HEIGHT] = 1.0 / (math.pi * root)
 
 
 @inline
@@ -163,7 +163,7 @@ def tabulate(lobes, count, isotropic, grey, nodes):
     for i in range(count + 1):
         base_isotropic = isotropic and i < count
         u_x, u_y, u_z, v_x, v_y, v_z = _axes(lobes[i], NARROW_AXES)
-        scale = lobes[i, PEAK]
+        scale = lobes[i, HEIGHT]
         inverse = real(math.pi * scale)  # of alpha^2, where the lobe is isotropic
         shape = real(lobes[i, SHAPE])
         k = scale * lobes[i, NORMALISATION]
