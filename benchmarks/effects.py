@@ -35,7 +35,7 @@ from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.procedural import make_set
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 
 #: How much longer a fit without an effect may take than one that never had it.
 ALLOWED = 0.03

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from brdffit.errors import InputError
+from brdffit.files.image_io import read_image, write_png
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.image_io import read_image, write_png
 from brdffit.textures.procedural import SETS, make_set
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 
 #: The sets whose mean margin over LEAN and vMF is a target; the first of them are those of a quick run.
 NAMED = ("metal-plates-006", "ice-002", "white-tiles-grout", "smudged-mirror-imperfections003", "coarse-sand")

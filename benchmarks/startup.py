@@ -20,7 +20,7 @@ _FIRST_TEXEL = """
 import sys, time
 from brdffit.methods import BakeOptions, get_method
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 svbrdf = to_svbrdf(read_texture_set(sys.argv[1]))
 before = time.time()
 fit = get_method("bfgs")

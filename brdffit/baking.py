@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from brdffit.errors import UnknownNameError
+from brdffit.export import writing as export
+from brdffit.export.manifest import build_manifest
+from brdffit.export.presets import get_preset
 from brdffit.fitting.batch import model_kernels
 from brdffit.fitting.status import NOT_REACHED, STATUS_NAMES
 from brdffit.halfangle.apparent_lobe import base_of
@@ -21,11 +24,9 @@ from brdffit.methods import BakeOptions, Method, Pyramid, get_method
 from brdffit.models import get_model
 from brdffit.render.preview import make_preview
 from brdffit.svbrdf import Svbrdf
-from brdffit.textures import export
 from brdffit.textures.conversion import to_svbrdf, unread_roles
-from brdffit.textures.manifest import build_manifest
-from brdffit.textures.presets import get_preset
-from brdffit.textures.texture_set import TextureSet, read_texture_set
+from brdffit.textures.reading import read_texture_set
+from brdffit.textures.texture_set import TextureSet
 
 #: Random texels of a level, nodes and samples an axis of what the manifest reports.
 _REPORT_TEXELS, _REPORT_NODES, _REPORT_SAMPLES = 64, 1024, (16, 96)

@@ -212,7 +212,7 @@ def inspect(context: click.Context, source: str, **options: Any) -> None:
     """
     from brdffit.console import print_inspection
     from brdffit.textures.inspection import inspect_set
-    from brdffit.textures.texture_set import read_texture_set
+    from brdffit.textures.reading import read_texture_set
 
     inspection = inspect_set(read_texture_set(source, **options))
     print_inspection(inspection)

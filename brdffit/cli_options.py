@@ -17,9 +17,9 @@ def known(kind: str) -> Callable[[click.Context, click.Parameter, str | None], s
     """A callback that refuses an unknown method, model or preset with the nearest name (exit code 2)."""
 
     def check(ctx: click.Context, parameter: click.Parameter, name: str | None) -> str | None:
+        from brdffit.export.presets import preset_names
         from brdffit.methods import method_names, one_of
         from brdffit.models import model_names
-        from brdffit.textures.presets import preset_names
 
         own_class = kind == "method" and ":" in (name or "")
         if name is not None and not own_class:

@@ -20,8 +20,8 @@ from rich.segment import Segment, Segments
 from rich.style import Style
 from rich.table import Table
 
+from brdffit.files.image_io import read_image
 from brdffit.fitting.status import FALLBACK
-from brdffit.textures.image_io import read_image
 
 if TYPE_CHECKING:
     from brdffit.baking import BakeReport

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from brdffit.files.image_io import write_png
 from brdffit.methods import get_method
-from brdffit.textures.image_io import write_png
 
 
 def write_maps(folder, seed=0, size=8, names="Set_{}.png", roles=("NormalGL", "Color", "Roughness")):

@@ -15,11 +15,11 @@ import pytest
 
 from brdffit.baking import bake, bake_to_folder
 from brdffit.errors import UnknownNameError
+from brdffit.files.image_io import write_png
 from brdffit.methods import get_method, method_names
 from brdffit.models import model_names
 from brdffit.roughness import eigenvalues_of_log, tensor_from_log
 from brdffit.svbrdf import level_sizes
-from brdffit.textures.image_io import write_png
 from brdffit.textures.procedural import make_set
 
 SIZE = 32

@@ -16,6 +16,7 @@ from benchmarks.__main__ import main  # noqa: E402
 from benchmarks.accuracy import CLOSED_FORMS, compare_set, targets  # noqa: E402
 from benchmarks.materials import NAMED, accuracy_sets, load_procedural, tiled, write_tiled  # noqa: E402
 from benchmarks.record import Section, Target, as_markdown, machine, table  # noqa: E402
+from brdffit.files.image_io import read_image  # noqa: E402
 from brdffit.fitting.effects import kernels_of  # noqa: E402
 from brdffit.fitting.method import NonlinearFit  # noqa: E402
 from brdffit.fitting.sampling import LevelSample  # noqa: E402
@@ -23,7 +24,6 @@ from brdffit.halfangle import objective, quadrature  # noqa: E402
 from brdffit.halfangle.measure import lobe_parameters  # noqa: E402
 from brdffit.methods import BakeOptions, get_method  # noqa: E402
 from brdffit.models import get_model  # noqa: E402
-from brdffit.textures.image_io import read_image  # noqa: E402
 from brdffit.textures.procedural import make_set  # noqa: E402
 
 

@@ -15,12 +15,12 @@ from click.testing import CliRunner
 
 from brdffit.cli import main
 from brdffit.errors import InputError, OutputError, UnknownNameError
+from brdffit.export.presets import preset_names
+from brdffit.files.image_io import write_png
 from brdffit.fitting.status import CONVERGED, FALLBACK
 from brdffit.methods import BY_PLAN, QUALITIES, BakeOptions, Level, Pyramid, method_names
 from brdffit.models import model_names
 from brdffit.svbrdf import Svbrdf, level_sizes
-from brdffit.textures.image_io import write_png
-from brdffit.textures.presets import preset_names
 
 METHODS = ["bfgs", "naive", "toksvig", "vmf", "lean", "filament", "godot", "flatten", "height"]
 MODELS = ["ggx", "blinn-phong", "ashikhmin-shirley", "beckmann", "generalised-beckmann"]

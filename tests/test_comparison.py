@@ -14,6 +14,7 @@ from brdffit.comparison.maps import TILE, map_strip
 from brdffit.comparison.one_set import SetWork
 from brdffit.comparison.surroundings import read_environment
 from brdffit.errors import InputError, UnknownNameError
+from brdffit.files.image_io import write_png
 from brdffit.methods import BakeOptions
 from brdffit.render import lights, scenes
 from brdffit.render.environment import Environment
@@ -21,7 +22,6 @@ from brdffit.report.records import KEPT_SUFFIX, MOST_ANISOTROPY, picture_names, 
 from brdffit.report.writing import write_report
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf, level_sizes
-from brdffit.textures.image_io import write_png
 
 #: As little as still shows everything.
 SMALL = {"pixels": 16, "frames": 3, "texels": 4, "pairs": 16, "lobes": 2, "samples": "draft"}

@@ -9,6 +9,8 @@ from test_fitting import bake, check, surface
 
 from brdffit import baking
 from brdffit.errors import InputError, UnknownNameError
+from brdffit.export.manifest import build_manifest
+from brdffit.files.image_io import write_png
 from brdffit.fitting.batch import make_output, model_kernels
 from brdffit.fitting.effects import complete, kernels_of, reached, seen_by
 from brdffit.fitting.method import NonlinearFit
@@ -23,9 +25,7 @@ from brdffit.methods import BakeOptions, get_method
 from brdffit.models import get_model
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.image_io import write_png
-from brdffit.textures.manifest import build_manifest
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 #: Sums in single precision end a search a little elsewhere; both ends are as good (parameters, and relative error).

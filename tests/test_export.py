@@ -10,14 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brdffit.errors import UnknownNameError
-from brdffit.roughness import log_from_tensor, tensor_from_log
-from brdffit.svbrdf import level_sizes
-from brdffit.textures.conversion import DIELECTRIC_F0
-from brdffit.textures.encoding import linear_from_srgb
-from brdffit.textures.export import dominant_direction, encode_level, encode_srgb, quantise, write_pyramid
-from brdffit.textures.image_io import read_image, read_mip_exr
-from brdffit.textures.manifest import build_manifest
-from brdffit.textures.presets import (
+from brdffit.export.manifest import build_manifest
+from brdffit.export.presets import (
     GODOT_RANGE,
     PRESETS,
     Channels,
@@ -28,6 +22,12 @@ from brdffit.textures.presets import (
     gltf_strength_from_alphas,
     tangent_above,
 )
+from brdffit.export.writing import dominant_direction, encode_level, encode_srgb, quantise, write_pyramid
+from brdffit.files.image_io import read_image, read_mip_exr
+from brdffit.roughness import log_from_tensor, tensor_from_log
+from brdffit.svbrdf import level_sizes
+from brdffit.textures.conversion import DIELECTRIC_F0
+from brdffit.textures.encoding import linear_from_srgb
 
 #: Single precision, through a square root or a matrix logarithm.
 SINGLE = 2e-5

@@ -13,9 +13,10 @@ import pytest
 from export_support import averaged_pyramid, random_svbrdf
 
 from brdffit.errors import OutputError
-from brdffit.textures import atomic, export
-from brdffit.textures.export import check_writable, write_pyramid
-from brdffit.textures.manifest import build_manifest
+from brdffit.export import writing as export
+from brdffit.export.manifest import build_manifest
+from brdffit.export.writing import check_writable, write_pyramid
+from brdffit.files import atomic
 
 needs_permissions = pytest.mark.skipif(
     not hasattr(os, "geteuid") or os.geteuid() == 0, reason="the superuser may write anywhere"
@@ -116,7 +117,7 @@ _SLOW_BAKE = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path[:0] = [sys.argv[1], sys.argv[2]]
-from brdffit.textures import export
+from brdffit.export import writing as export
 from test_export_atomic import write
 original = export.write_png
 def slowly(path, pixels):

@@ -18,10 +18,10 @@ from library_support import contents, make_library, write_maps
 from brdffit.baking import bake_to_folder
 from brdffit.cli import main
 from brdffit.errors import InputError
+from brdffit.files.image_io import read_image, write_png
 from brdffit.library import bake, state, store
 from brdffit.library.page import write_page
 from brdffit.library.run import _tasks, run_library
-from brdffit.textures.image_io import read_image, write_png
 
 #: What makes a bake quick: closed forms, two levels.
 QUICK = {"method": "lean", "levels": 2}

@@ -13,12 +13,12 @@ from library_support import write_maps
 
 from brdffit.baking import bake_to_folder
 from brdffit.errors import InputError, UnknownNameError
+from brdffit.files.image_io import write_png
 from brdffit.library.bake import open_set
 from brdffit.library.discovery import find_sets
 from brdffit.library.settings import Overrides, read_settings, split_options
 from brdffit.library.task import Found, Task
 from brdffit.methods import BY_PLAN, BakeOptions
-from brdffit.textures.image_io import write_png
 
 
 def keys(root, **more):

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from export_support import averaged_pyramid, random_svbrdf
 
-from brdffit.machine import versions
-from brdffit.textures.export import write_pyramid
-from brdffit.textures.manifest import (
+from brdffit.export.manifest import (
     build_manifest,
     file_digest,
     foreign_file,
@@ -19,6 +17,8 @@ from brdffit.textures.manifest import (
     stable_digest,
     to_json,
 )
+from brdffit.export.writing import write_pyramid
+from brdffit.machine import versions
 
 
 def bake(folder, threads=None, seconds=1.0, seed=0, inputs=()):

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from brdffit.export.presets import get_preset, preset_names
 from brdffit.methods import QUALITIES, Method
-from brdffit.textures.presets import get_preset, preset_names
 from brdffit.textures.procedural import make_set
 
 ROOT = Path(__file__).parent.parent

@@ -13,12 +13,12 @@ import pytest
 from brdffit import bake
 from brdffit.baking import bake_to_folder
 from brdffit.errors import InputError
+from brdffit.files.image_io import read_mip_exr
 from brdffit.methods import QUALITIES, method_names
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, tensor_from_log
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.image_io import read_mip_exr
 from brdffit.textures.inspection import inspect_set
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 
 MATERIALS = Path(__file__).parent.parent.parent / "shared" / "materials"
 SETS = sorted(path.name for path in MATERIALS.iterdir() if path.is_dir()) if MATERIALS.is_dir() else []

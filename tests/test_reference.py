@@ -7,6 +7,7 @@ import pytest
 from export_support import random_svbrdf
 
 from brdffit.errors import InputError, UnknownNameError
+from brdffit.files.image_io import write_mip_exr
 from brdffit.methods import BakeOptions, get_method, method_names
 from brdffit.models import model_names
 from brdffit.render import scenes, shading
@@ -15,7 +16,6 @@ from brdffit.render.reference import pair_errors, render_halves, render_pyramid,
 from brdffit.render.terms import LOBE_ONLY, Terms
 from brdffit.roughness import log_tensor_from_perceptual, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
-from brdffit.textures.image_io import write_mip_exr
 
 #: Sums in single precision, and the polynomial exponentials of the kernels.
 KERNEL = 2e-4

@@ -13,9 +13,9 @@ import pytest
 from report_support import PICTURE_SNR, comparison
 
 from brdffit.errors import InputError, OutputError
+from brdffit.files.image_io import write_png
 from brdffit.report import page, plots, records, summary
 from brdffit.report.writing import check_report_folder, read_report, write_report
-from brdffit.textures.image_io import write_png
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 

@@ -142,7 +142,7 @@ def draw_landscape(
     from brdffit.landscape import landscape
     from brdffit.report.plots import save_landscape
     from brdffit.textures.conversion import to_svbrdf
-    from brdffit.textures.texture_set import read_texture_set
+    from brdffit.textures.reading import read_texture_set
 
     began = time.perf_counter()
     texture_set = read_texture_set(source, **reading)

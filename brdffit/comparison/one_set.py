@@ -34,7 +34,8 @@ from brdffit.report.records import (
 )
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.texture_set import TextureSet, read_texture_set
+from brdffit.textures.reading import read_texture_set
+from brdffit.textures.texture_set import TextureSet
 
 #: Levels whose lobes are shown, held to those that a set has.
 _LOBE_LEVELS = (1, 3, 5)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from brdffit.errors import InputError
+from brdffit.files.image_io import read_image
 from brdffit.render.environment import Environment, procedural_environment
-from brdffit.textures.image_io import read_image
 
 
 def read_environment(file: str | None) -> Environment:

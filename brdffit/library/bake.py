@@ -18,6 +18,8 @@ import numpy as np
 
 from brdffit import baking
 from brdffit.errors import BrdffitError, InputError
+from brdffit.export.manifest import build_manifest
+from brdffit.files.image_io import file_sha256
 from brdffit.fitting.status import STATUS_NAMES
 from brdffit.library import store
 from brdffit.library.grouping import named_group
@@ -26,12 +28,11 @@ from brdffit.library.task import Outcome, Task
 from brdffit.library.thumbnail import make_thumbnail
 from brdffit.methods import BakeOptions, Method, get_method
 from brdffit.svbrdf import Svbrdf
-from brdffit.textures import texture_set as sets
+from brdffit.textures import reading as sets
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.image_io import file_sha256
-from brdffit.textures.manifest import build_manifest
 from brdffit.textures.orientation import settle_normal_y
-from brdffit.textures.texture_set import Map, TextureSet, read_texture_set
+from brdffit.textures.reading import read_texture_set
+from brdffit.textures.texture_set import Map, TextureSet
 
 
 @cache

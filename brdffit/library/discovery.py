@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from brdffit.errors import InputError
+from brdffit.export.manifest import FILE_NAME as MANIFEST
+from brdffit.files.image_io import IMAGE_SUFFIXES
 from brdffit.library.grouping import groups_of, named_with_alpha
 from brdffit.library.task import Found
-from brdffit.textures.image_io import IMAGE_SUFFIXES
-from brdffit.textures.manifest import FILE_NAME as MANIFEST
-from brdffit.textures.materials import SUFFIXES, read_material
+from brdffit.textures.reading import SUFFIXES, read_material
 
 
 def find_sets(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from brdffit.errors import InputError
-from brdffit.textures.image_io import read_info
+from brdffit.files.image_io import read_info
 from brdffit.textures.naming import LETTERS, NamedSet, name_tokens, roles_from_names
 
 #: Tiles are numbered 1001 + u + 10 v; after an underscore the number may be a resolution, and counts with others only.

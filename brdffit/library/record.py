@@ -10,9 +10,9 @@ import json
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from brdffit.export.manifest import to_json
 from brdffit.library.store import Store, manifest_of
 from brdffit.library.task import Task
-from brdffit.textures.manifest import to_json
 
 FILE_NAME = "library.json"
 FORMAT = 1

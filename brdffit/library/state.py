@@ -20,13 +20,13 @@ from typing import Any
 
 from brdffit.baking import bake_options
 from brdffit.errors import InputError
+from brdffit.export.manifest import FORMAT
+from brdffit.files.image_io import IMAGE_SUFFIXES, file_sha256
 from brdffit.library.discovery import material_file, references
 from brdffit.library.task import Task
 from brdffit.machine import versions
 from brdffit.methods import BakeOptions, get_method
-from brdffit.textures.image_io import IMAGE_SUFFIXES, file_sha256
-from brdffit.textures.manifest import FORMAT
-from brdffit.textures.materials import SUFFIXES
+from brdffit.textures.reading import SUFFIXES
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 #: Sources that no pixel depends on.

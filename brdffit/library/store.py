@@ -1,6 +1,6 @@
 """Where a library is written: a folder, or an address that fsspec knows (a bucket, a server).
 
-In a folder each set is replaced as a whole (see ``textures.atomic``). Elsewhere there is no such exchange: there a set
+In a folder each set is replaced as a whole (see ``files.atomic``). Elsewhere there is no such exchange: there a set
 is whole when its manifest is, for that is taken away first and written last.
 """
 
@@ -19,10 +19,11 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError, OutputError
+from brdffit.export import writing as export
+from brdffit.export.manifest import FILE_NAME
+from brdffit.files import atomic
 from brdffit.library.task import Task
 from brdffit.methods import Pyramid
-from brdffit.textures import atomic, export
-from brdffit.textures.manifest import FILE_NAME
 
 try:
     import fcntl

@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from brdffit.files.atomic import write_text
 from brdffit.planning.description import SceneFile, read_scene
 from brdffit.planning.plan import EffectRow, Plan, SurfacePlan
-from brdffit.textures.atomic import write_text
 
 if TYPE_CHECKING:
     from brdffit.baking import BakeReport

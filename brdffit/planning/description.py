@@ -22,9 +22,9 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from brdffit.errors import InputError
+from brdffit.export.presets import preset_names
 from brdffit.models import model_names
 from brdffit.planning.effects import NAMES
-from brdffit.textures.presets import preset_names
 
 #: The environment that ships, by name.
 PROCEDURAL = "procedural"

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from brdffit.export.presets import get_preset
 from brdffit.models import get_model
 from brdffit.planning.description import SceneFile
 from brdffit.svbrdf import Svbrdf
-from brdffit.textures.presets import get_preset
 
 
 class Fact(NamedTuple):

@@ -18,7 +18,8 @@ from brdffit.planning.lighting import lights_of
 from brdffit.planning.plan import Plan, SurfacePlan
 from brdffit.planning.surface import SurfaceWork, Tell
 from brdffit.render.terms import Terms
-from brdffit.textures.texture_set import TextureSet, read_texture_set
+from brdffit.textures.reading import read_texture_set
+from brdffit.textures.texture_set import TextureSet
 
 
 def _nobody(text: str) -> None:

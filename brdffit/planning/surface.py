@@ -33,7 +33,8 @@ from brdffit.planning.trial import Draw, Errors, Loss, Sample, loss, snr_db
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.texture_set import TextureSet, read_texture_set
+from brdffit.textures.reading import read_texture_set
+from brdffit.textures.texture_set import TextureSet
 
 #: Of the budget, what each texel's own shortcuts may take.
 _SHORTCUTS = 0.5

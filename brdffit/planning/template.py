@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from brdffit.errors import OutputError
+from brdffit.files.atomic import write_text
 from brdffit.planning.effects import NAMES
-from brdffit.textures.atomic import write_text
-from brdffit.textures.materials import SUFFIXES
+from brdffit.textures.reading import SUFFIXES
 
 TEMPLATE = """\
 # A scene: who looks at which surfaces, from where and under which light. brdffit computes what it calls for.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
-from brdffit.textures.atomic import first_other
+from brdffit.files.atomic import first_other
 
 #: Raised when an older program could not draw newer records.
 FORMAT = 1

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
+from brdffit.files.atomic import check_writable, replacing
+from brdffit.files.image_io import read_image, write_png
 from brdffit.report.page import render_page
 from brdffit.report.records import PAGE, RECORDS, Comparison, foreign_file, picture_names, read_records, to_json
-from brdffit.textures.atomic import check_writable, replacing
-from brdffit.textures.image_io import read_image, write_png
 
 
 def check_report_folder(folder: str | os.PathLike[str]) -> None:

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import BrdffitError, InputError, OutputError, UnknownNameError
+from brdffit.files.image_io import write_png
 from brdffit.textures.generators import GENERATORS, unit_range
-from brdffit.textures.image_io import write_png
 
 _CHECKOUT = Path(__file__).resolve().parents[2] / "data"
 #: Folder of the recipes: in a checkout, or where an installation puts them.

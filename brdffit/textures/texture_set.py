@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,12 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.errors import InputError, UnknownNameError
-from brdffit.svbrdf import WRAPS
+from brdffit.errors import InputError
+from brdffit.files.image_io import ImageInfo, file_sha256, read_image, read_info
 from brdffit.textures import encoding
-from brdffit.textures.image_io import IMAGE_SUFFIXES, ImageInfo, file_sha256, read_image, read_info
-from brdffit.textures.naming import ROLES, NamedSet, old_cc0textures, packed_roles, roles_from_names
-from brdffit.textures.orientation import settle_normal_y
 
 NORMAL_YS = ("gl", "dx")
 #: Longest side of a map; more is taken for a damaged header.
@@ -115,168 +110,3 @@ class TextureSet:
         """Add a sentence, once."""
         if sentence not in self.notes:
             self.notes.append(sentence)
-
-
-def read_texture_set(
-    path: str | os.PathLike[str],
-    *,
-    roles: Mapping[str, str] | None = None,
-    normal_y: str | None = None,
-    wrap: str = "tile",
-    height_scale: float | None = None,
-    without: Collection[str] = (),
-) -> TextureSet:
-    """Find the maps of a material and their conventions; pixels are read later, one map at a time.
-
-    Args:
-        path: a folder of images, or a .gltf, .glb or .mtlx file.
-        roles: file by role (relative to the folder), which wins over names; a role is one of ``naming.ROLES`` or a
-            packing such as "orm"; a file may end in ":R", ":G", ":B" or ":A" to name a channel.
-        normal_y: "gl" or "dx", which wins over names; None tells it from names, from the height map, or from the
-            slopes themselves (those of a surface have no curl), and says which.
-        wrap: "tile" or "clamp".
-        height_scale: texels between the height values 0 and 1; None derives it.
-        without: roles that will not be read (see ``conversion.to_svbrdf``): without "normal" nothing is asked of it.
-
-    Raises:
-        InputError: when there is nothing to read, or what is there cannot belong together.
-        UnknownNameError: for an unknown role, ``normal_y`` or ``wrap``.
-    """
-    path = Path(path)
-    for kind, value, known in (("normal Y", normal_y, NORMAL_YS), ("wrap mode", wrap, WRAPS)):
-        if value is not None and value not in known:
-            raise UnknownNameError(kind, value, known)
-    if height_scale is not None and not (np.isfinite(height_scale) and height_scale > 0.0):
-        raise InputError(f"The height scale is {height_scale}, expected a positive number of texels.")
-    texture_set = _find_maps(path, dict(roles or {}))
-    texture_set.wrap, texture_set.height_scale = wrap, height_scale
-    check_sizes(texture_set, path)
-    if "normal" in without and texture_set.maps:
-        return texture_set
-    if "normal" not in texture_set.maps and "height" not in texture_set.maps:
-        found = ", ".join(f"{named.path.name} ({role})" for role, named in texture_set.maps.items()) or "no known role"
-        raise InputError(
-            f"'{path}' has no normal map and no height map (found: {found}), expected one of them; name it with an "
-            f"explicit role such as normal=FILE."
-        )
-    if "normal" in texture_set.maps:
-        settle_normal_y(texture_set, normal_y)
-    return texture_set
-
-
-def _find_maps(path: Path, roles: dict[str, str]) -> TextureSet:
-    from brdffit.textures import materials
-
-    if not path.exists():
-        raise InputError(f"'{path}' does not exist, expected a folder of textures or a .gltf, .glb or .mtlx file.")
-    if path.is_file():
-        texture_set = materials.read_material(path)
-        texture_set.maps |= explicit_roles(path.parent, roles)
-        return texture_set
-    try:
-        names = sorted(entry.name for entry in os.scandir(path) if entry.is_file() and entry.name[0] != ".")
-    except OSError as error:
-        raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
-    images = [name for name in names if name.lower().endswith(IMAGE_SUFFIXES)]
-    scenes = [name for name in names if name.lower().endswith(materials.SUFFIXES)]
-    if not images and not scenes and not roles:
-        what = f"{len(names)} files, none of them an image" if names else "nothing"
-        raise InputError(f"'{path}' holds {what}, expected a folder of textures such as Name_NormalGL.png.")
-    explicit = explicit_roles(path, roles)
-    infos = {name: _header(path / name) for name in images}
-    named = roles_from_names(images, [name for name, info in infos.items() if info and len(info.channels) in (2, 4)])
-    surface_named = {"normal", "height"} & (named.maps.keys() | explicit.keys())
-    if not surface_named and len(scenes) == 1:
-        texture_set = materials.read_material(path / scenes[0])
-        texture_set.name = path.resolve().name
-        texture_set.maps |= explicit
-        return texture_set
-    for role, files in named.rivals.items():
-        if role not in explicit:
-            raise InputError(
-                f"'{path}' holds maps of more than one material ({', '.join(files)} all claim {role}), expected one; "
-                f"name the maps with explicit roles such as {role}={files[0]}."
-            )
-    maps = {
-        role: Map(role, path / found.file, found.channel, word=found.word)
-        for role, found in named.maps.items()
-        if role not in explicit
-    }
-    used = {found.path.name for found in (*maps.values(), *explicit.values())}
-    texture_set = TextureSet(
-        name=path.resolve().name,
-        maps=dict(sorted((maps | explicit).items(), key=lambda item: ROLES.index(item[0]))),
-        ignored=[name for name in images if name not in used],
-        notes=list(named.notes),
-    )
-    normal_y_from_names(texture_set, named)
-    return texture_set
-
-
-def _header(path: Path) -> ImageInfo | None:
-    """The header, or None where the file is no readable image: that is an error only once the file is used."""
-    try:
-        return read_info(path)
-    except InputError:
-        return None
-
-
-def explicit_roles(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
-    """Maps of an explicit map of roles."""
-    maps: dict[str, Map] = {}
-    for role, text in roles.items():
-        file, _, channel = text.rpartition(":")
-        if not file or channel.upper() not in ("R", "G", "B", "A"):
-            file, channel = text, ""
-        path = folder / file
-        packed = packed_roles(role)
-        if role in ROLES:
-            maps[role] = Map(role, path, channel.upper())
-        elif packed:
-            for name, letter in zip(packed, "RGBA", strict=False):
-                if name:
-                    maps[name] = Map(name, path, letter)
-        else:
-            raise UnknownNameError("role", role, (*ROLES, "orm", "arm", "rma"))
-    return maps
-
-
-def normal_y_from_names(texture_set: TextureSet, named: NamedSet) -> None:
-    normal = named.maps.get("normal")
-    if normal is None or normal.file != texture_set.maps["normal"].path.name:
-        return
-    if normal.normal_y:
-        texture_set.normal_y, texture_set.normal_y_source = normal.normal_y, "name"
-    elif old_cc0textures(named):
-        texture_set.normal_y, texture_set.normal_y_source = "dx", "convention"
-        texture_set.note(
-            f"The normal map '{normal.file}' is read as DirectX (-Y), as the older CC0Textures are by their names."
-        )
-
-
-def check_sizes(texture_set: TextureSet, path: Path) -> None:
-    """Refuse maps that cannot be brought to one size; a map of one texel goes with any other."""
-    if not texture_set.maps:
-        return
-    sizes = {}
-    for named in texture_set.maps.values():
-        height, width = sizes[named.path.name, id(named.data)] = named.size
-        if max(height, width) > MAX_SIDE:
-            raise InputError(f"'{named.path}' is {width}x{height} texels, expected at most {MAX_SIDE} a side.")
-    full_height, full_width = texture_set.size
-    for named in texture_set.maps.values():
-        height, width = named.size
-        if (height, width) == (1, 1):
-            continue
-        # One texel of rounding on the shorter way.
-        if (
-            abs(width - full_width * height / full_height) > 1.0
-            and abs(height - full_height * width / full_width) > 1.0
-        ):
-            raise InputError(
-                f"The maps of '{path}' cannot belong together: '{named.path.name}' is {width}x{height} where the "
-                f"largest map is {full_width}x{full_height}, expected the same proportions."
-            )
-    different = sorted({f"{w}x{h}" for h, w in sizes.values()})
-    if len(different) > 1:
-        texture_set.note(f"Maps of different sizes ({', '.join(different)}) are brought to {full_width}x{full_height}.")

@@ -10,12 +10,12 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from brdffit.files.atomic import check_writable, first_other, replacing
 from brdffit.halfangle.measure import PERFECT_DB
 from brdffit.machine import machine
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
-from brdffit.textures.atomic import check_writable, first_other, replacing
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 from brdffit.tradeoff.drawing import draw
 from brdffit.tradeoff.front import choices
 from brdffit.tradeoff.record import Tradeoff

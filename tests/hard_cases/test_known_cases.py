@@ -19,7 +19,7 @@ from brdffit.roughness import eigenvalues_of_log
 from brdffit.svbrdf import level_sizes
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.procedural import make_set
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 
 #: A fit may lose this much, relatively, to a closed form: two rules of a few hundred nodes on needles.
 NEEDLES = 0.05

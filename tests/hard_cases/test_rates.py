@@ -18,7 +18,7 @@ from brdffit.halfangle.measure import random_texels
 from brdffit.methods import BakeOptions
 from brdffit.svbrdf import level_sizes
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 
 MATERIALS = Path(__file__).parents[3] / "shared" / "materials"
 SETS = sorted(path.name for path in MATERIALS.iterdir() if path.is_dir()) if MATERIALS.is_dir() else []

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pictures import bumps, write_image
 
+from brdffit.files.image_io import read_image
 from brdffit.textures import encoding
 from brdffit.textures.encoding import code_noise, subtract_noise_floor
-from brdffit.textures.image_io import read_image
 
 PNG = code_noise(8, False, "png")
 #: Rounding of float32 in a component of at most 1, through some ten levels of a pyramid.

@@ -11,7 +11,7 @@ import pytest
 from pictures import write_image
 
 from brdffit.errors import InputError, OutputError
-from brdffit.textures.image_io import read_image, read_info, read_mip_exr, write_mip_exr, write_png
+from brdffit.files.image_io import read_image, read_info, read_mip_exr, write_mip_exr, write_png
 
 RNG = np.random.default_rng(0)
 

@@ -9,7 +9,7 @@ import pytest
 from pictures import bumps, encoded
 
 from brdffit.textures.inspection import inspect_set
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 
 HEIGHT, NORMAL = bumps()
 GREY = (HEIGHT - HEIGHT.min()) / np.ptp(HEIGHT)

@@ -15,7 +15,7 @@ from brdffit.errors import InputError
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 
 HEIGHT, NORMAL = bumps(12, 16)
 RNG = np.random.default_rng(0)

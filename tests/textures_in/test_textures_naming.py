@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from brdffit.textures.naming import old_cc0textures, packed_roles, roles_from_names
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 
 CONVENTIONS = {
     "ambientCG": {

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from brdffit.errors import InputError, OutputError, UnknownNameError
+from brdffit.files.image_io import read_image
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.image_io import read_image
 from brdffit.textures.procedural import RECIPES, SETS, main, make_set, read_recipe
-from brdffit.textures.texture_set import TextureSet, read_texture_set
+from brdffit.textures.reading import read_texture_set
+from brdffit.textures.texture_set import TextureSet
 
 SIZE = 128
 

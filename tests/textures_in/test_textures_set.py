@@ -12,7 +12,7 @@ from pictures import bumps, encoded, write_image
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.texture_set import read_texture_set
+from brdffit.textures.reading import read_texture_set
 
 HEIGHT, NORMAL = bumps()
 #: Normals read from 8 bits: half a code on each axis, and the noise floor's share of these slopes.

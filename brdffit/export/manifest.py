@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from brdffit.files.atomic import first_other
 from brdffit.machine import versions
 from brdffit.methods import Level, Pyramid
-from brdffit.textures.atomic import first_other
 
 FORMAT = 1
 FILE_NAME = "manifest.json"

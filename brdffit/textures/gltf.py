@@ -1,4 +1,4 @@
-"""Material files as entry points to a texture set: glTF 2.0 (.gltf, .glb) and MaterialX (.mtlx).
+"""The material of a glTF 2.0 file (.gltf, .glb) as a texture set.
 
 Only what a metallic-roughness or specular-glossiness material says of its maps is read; geometry, scenes and
 procedural nodes are not.
@@ -17,33 +17,15 @@ from urllib.parse import unquote
 import numpy as np
 
 from brdffit.errors import InputError
-from brdffit.textures.materialx import read_materialx
 from brdffit.textures.texture_set import Map, TextureSet
 
-SUFFIXES = (".gltf", ".glb", ".mtlx")
 
-
-def read_material(path: Path) -> TextureSet:
-    """The texture set of a material file; its name is the file's stem.
+def read_gltf(path: Path, data: bytes) -> TextureSet:
+    """The texture set of a glTF file's material; its name is the file's stem.
 
     Raises:
-        InputError: when the file is damaged, of another kind, or has no material with maps.
+        InputError: when the file is damaged or has no material with maps.
     """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(
-            f"'{path}' is a file of another kind, expected a folder of textures or a .gltf, .glb or .mtlx file."
-        )
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
-    if not data:
-        raise InputError(f"'{path}' is empty (0 bytes), expected a {suffix} file.")
-    return read_materialx(path, data) if suffix == ".mtlx" else _read_gltf(path, data)
-
-
-def _read_gltf(path: Path, data: bytes) -> TextureSet:
     text, binary = _glb_chunks(path, data) if data[:4] == b"glTF" else (data, None)
     try:
         document = json.loads(text)

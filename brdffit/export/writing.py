@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError, OutputError
+from brdffit.export.manifest import FILE_NAME, file_digest, foreign_file, stable_digest, to_json
+from brdffit.export.presets import Channels, Picture, Preset, get_preset
+from brdffit.files import atomic
+from brdffit.files.image_io import read_mip_exr, write_mip_exr, write_png
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.methods import Pyramid
 from brdffit.roughness import tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
-from brdffit.textures import atomic
-from brdffit.textures.image_io import read_mip_exr, write_mip_exr, write_png
-from brdffit.textures.manifest import FILE_NAME, file_digest, foreign_file, stable_digest, to_json
-from brdffit.textures.presets import Channels, Picture, Preset, get_preset
 
 _TEXELS_PER_BAND = 1 << 20
 #: EXR files: name, channels, what of the SVBRDF they hold.

@@ -1,0 +1,1 @@
+"""Files: images through OpenImageIO, and writes that happen whole or not at all."""
