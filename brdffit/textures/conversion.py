@@ -259,7 +259,7 @@ def scalar_map(texture_set: TextureSet, role: str) -> NDArray | None:
 
 def _values(texture_set: TextureSet, named: Map) -> NDArray:
     pixels, _ = named.read()
-    values, taken = encoding.scalar_channel(pixels, named.channel, named.role)
+    values, taken = named.quantity(pixels)
     if taken and not named.channel:
         names = {"R": "red", "G": "green", "B": "blue"}
         texture_set.note(f"The colours of '{named.path.name}' differ: its {named.role} is taken from {names[taken]}.")

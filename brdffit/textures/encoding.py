@@ -9,6 +9,7 @@ chroma in whole codes, so that red and green move by more than a code when these
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,17 +58,29 @@ def code_noise(bits: int, is_float: bool, file_format: str) -> CodeNoise:
     return CodeNoise(step, apart, (toggle * float(red.sum()) ** 2, toggle * float(green.sum()) ** 2))
 
 
-def scalar_channel(pixels: NDArray, channel: str, role: str) -> tuple[NDArray, str]:
+def channel_index(channels: Sequence[str], asked: str, as_rgba: bool = False) -> int | None:
+    """Index of channel "R", "G", "B" or "A" among those of an image; None where it has no such channel.
+
+    A grey image (one channel, or two of which the second is alpha) has R. ``as_rgba`` spreads its grey over R, G and B,
+    as formats do that define every picture as RGBA (glTF).
+    """
+    count = len(channels)
+    if asked == "A":
+        return {2: 1, 4: 3}.get(count, channels.index("A") if "A" in channels else None)
+    if count <= 2 and "G" not in channels:
+        return 0 if asked == "R" or as_rgba else None
+    index = "RGB".index(asked)
+    return index if index < count else None
+
+
+def obvious_channel(pixels: NDArray, role: str) -> tuple[NDArray, str]:
     """(H, W) of a map that holds one quantity, and the channel taken ("" when all colours are alike).
 
-    ``channel`` is "R", "G", "B", "A" or "" for the obvious one: where the colours of a grey map differ, roughness lies
-    in green and metallic in blue, as in glTF, and everything else in red.
+    Where the colours differ, roughness lies in green and metallic in blue, as in glTF, and everything else in red.
     """
-    count = pixels.shape[2]
-    if channel:
-        index = count - 1 if channel == "A" else "RGB".index(channel)
-        return pixels[:, :, min(index, count - 1)], channel
-    if count < 3 or (np.array_equal(pixels[..., 0], pixels[..., 1]) and np.array_equal(pixels[..., 0], pixels[..., 2])):
+    if pixels.shape[2] < 3 or (
+        np.array_equal(pixels[..., 0], pixels[..., 1]) and np.array_equal(pixels[..., 0], pixels[..., 2])
+    ):
         return pixels[:, :, 0], ""
     # A JPEG's colours may differ by a rounding; only more than that is another quantity.
     if max(float(np.abs(pixels[..., 0] - pixels[..., k]).max()) for k in (1, 2)) <= 3.0 / 255.0:

@@ -54,7 +54,7 @@ def _gltf_maps(texture_set: TextureSet, path: Path, document: dict, binary: byte
     def add(reference: dict | None, role: str, channel: str = "") -> None:
         if reference is not None:
             file, data = _gltf_image(path, document, binary, reference["index"])
-            maps[role] = Map(role, file, channel, data)
+            maps[role] = Map(role, file, channel, data, as_rgba=True)
 
     extensions = material.get("extensions", {})
     glossiness = extensions.get("KHR_materials_pbrSpecularGlossiness")

@@ -116,7 +116,7 @@ def _look_at_map(inspection: Inspection, texture_set: TextureSet, role: str) -> 
     if role != "normal":
         values = pixels[:, :, :3]
         if role != "base_color":
-            values, _ = encoding.scalar_channel(pixels, named.channel, role)
+            values, _ = named.quantity(pixels)
         if values.size > 3 and float(np.ptp(values, axis=(0, 1)).max()) <= _CONSTANT:
             inspection.wrong.append(f"The {role} of '{named.path.name}' is constant ({float(values.mean()):.3f}).")
         return

@@ -61,7 +61,7 @@ def normal_y_agreement(texture_set: TextureSet) -> tuple[float, str]:
     slope = encoding.slopes_of_normals(encoding.stored_vectors(pixels[:_CROP, :_CROP], normal.info.is_float))
     height = texture_set.maps.get("height")
     if height is not None and height.size == normal.size:
-        field_, _ = encoding.scalar_channel(height.read()[0], height.channel, "height")
+        field_, _ = height.quantity(height.read()[0])
         up = encoding.height_gradient(field_[:_CROP, :_CROP], "clamp")[:, :, 1]
         # A slope under a code step is no evidence; chrome's dither correlates with nothing.
         if float(slope[:, :, 1].std()) > noise.step and float(up.std()) > 0.0:

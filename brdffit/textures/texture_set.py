@@ -28,6 +28,7 @@ class Map:
         channel: "" for all or the obvious one, else "R", "G", "B" or "A".
         data: the image's bytes when it is embedded, else None.
         word: the word of the file name that told the role, or "".
+        as_rgba: whether the file stands for an RGBA picture (glTF): grey is spread over R, G and B, missing alpha is 1.
     """
 
     role: str
@@ -35,6 +36,7 @@ class Map:
     channel: str = ""
     data: bytes | None = None
     word: str = ""
+    as_rgba: bool = False
 
     @cached_property
     def info(self) -> ImageInfo:
@@ -64,6 +66,24 @@ class Map:
         if bits == 16 and not image.is_float and not (np.rint(pixels * 65535.0) % 257).any():
             bits = 8  # eight bits in sixteen: the noise floor is that of the codes in use
         return pixels, encoding.code_noise(bits, image.is_float, image.format)
+
+    def quantity(self, pixels: NDArray) -> tuple[NDArray, str]:
+        """(H, W) of the one quantity this map holds, of its pixels; and the channel taken ("" when all are alike).
+
+        Raises:
+            InputError: when the channel that was asked for is not there.
+        """
+        if not self.channel:
+            return encoding.obvious_channel(pixels, self.role)
+        index = encoding.channel_index(self.info.channels, self.channel, self.as_rgba)
+        if index is not None:
+            return pixels[:, :, index], self.channel
+        if self.as_rgba:
+            return np.ones(pixels.shape[:2], np.float32), self.channel
+        raise InputError(
+            f"'{self.path}' has the channels {', '.join(self.info.channels)}, expected {self.channel} among them, for "
+            f"its {self.role} is asked of it."
+        )
 
 
 @dataclass

@@ -154,9 +154,27 @@ def test_srgb_decoding_at_known_points() -> None:
 def test_the_channel_of_a_grey_map() -> None:
     colours = np.random.default_rng(10).random((4, 4, 3)).astype(np.float32)
     for role, index, letter in (("roughness", 1, "G"), ("metallic", 2, "B"), ("height", 0, "R")):
-        values, taken = encoding.scalar_channel(colours, "", role)
+        values, taken = encoding.obvious_channel(colours, role)
         np.testing.assert_array_equal(values, colours[:, :, index])
         assert taken == letter
     grey = np.repeat(colours[:, :, :1], 3, axis=2)
-    assert encoding.scalar_channel(grey, "", "roughness")[1] == ""
-    np.testing.assert_array_equal(encoding.scalar_channel(colours, "B", "roughness")[0], colours[:, :, 2])
+    assert encoding.obvious_channel(grey, "roughness")[1] == ""
+
+
+@pytest.mark.parametrize(
+    ("channels", "asked", "index"),
+    [
+        ("RGB", "RGBA", (0, 1, 2, None)),
+        ("RGBA", "RGBA", (0, 1, 2, 3)),
+        ("Y", "RGBA", (0, None, None, None)),
+        ("YA", "RGBA", (0, None, None, 1)),
+        ("RG", "RGB", (0, 1, None)),
+    ],
+)
+def test_a_channel_that_is_not_there_is_no_other_channel(channels: str, asked: str, index: tuple) -> None:
+    assert tuple(encoding.channel_index(tuple(channels), each) for each in asked) == index
+
+
+def test_a_format_of_rgba_pictures_spreads_grey_and_has_no_more_alpha_than_others() -> None:
+    assert [encoding.channel_index(("Y",), each, as_rgba=True) for each in "RGBA"] == [0, 0, 0, None]
+    assert [encoding.channel_index(("Y", "A"), each, as_rgba=True) for each in "RGBA"] == [0, 0, 0, 1]

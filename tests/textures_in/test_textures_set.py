@@ -209,6 +209,16 @@ def test_packed_channels_are_those_of_separate_maps(make_folder) -> None:
             np.testing.assert_array_equal(packed.arrays()[name], array, err_msg=f"{word} {name}")
 
 
+@pytest.mark.parametrize(("count", "channel"), [(3, "A"), (1, "G"), (1, "B"), (2, "G"), (2, "B"), (1, "A")])
+def test_a_channel_that_a_file_does_not_have_is_refused(make_folder, count: int, channel: str) -> None:
+    """It was another channel's values without a word: blue for the alpha of RGB, alpha for the blue of grey."""
+    flat = np.full((4, 4, 3), [0.5, 0.5, 1.0])
+    folder = make_folder(a_NormalGL__png=flat, other__png=np.random.default_rng(3).random((4, 4, count)))
+    texture_set = read_texture_set(folder, roles={"roughness": f"other.png:{channel}"})
+    with pytest.raises(InputError, match=rf"other.png' has the channels .*, expected {channel} among them, for its ro"):
+        to_svbrdf(texture_set)
+
+
 def test_roughness_in_the_normals_alpha_and_height_in_the_colours(make_folder) -> None:
     rough = np.linspace(0.0, 1.0, 64)[None].repeat(48, 0)
     grey = (HEIGHT - HEIGHT.min()) / np.ptp(HEIGHT)
