@@ -20,7 +20,7 @@ help:
 	@echo "make tradeoff    [SETS=\"folder ...\"]  what accuracy costs in time: tradeoff/tradeoff.png"
 	@echo "make compare     [SETS=\"folder ...\"]  every method against the reference, on the shipped sets: report/index.html"
 	@echo "make plan        [SCENE=file.toml]  what a scene calls for, and what it costs"
-	@echo "make test        the tests, on WORKERS=2 processes; make test-slow runs those that take long"
+	@echo "make test        the quick tests, on WORKERS=2 processes; make test-slow runs those that take long"
 	@echo "make bench       speed and accuracy, the short way; make bench-full takes its time"
 	@echo "make lint        ruff and mypy"
 	@echo "make picture     draw the pictures of the README anew: docs/preview.png and docs/tradeoff.png"
@@ -70,8 +70,9 @@ picture: data/sets/made
 test: install
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(OPTIONS)
 
+# One long file of laws holds most of the slow tests: both processes share its tests.
 test-slow: install
-	$(BIN)/python -m pytest -m slow $(OPTIONS)
+	$(BIN)/python -m pytest -m slow -n $(WORKERS) --dist worksteal $(OPTIONS)
 
 bench: install
 	$(BIN)/python -m benchmarks --quick -o bench
