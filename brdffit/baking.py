@@ -24,6 +24,7 @@ from brdffit.methods import BakeOptions, Method, Pyramid, get_method
 from brdffit.models import get_model
 from brdffit.render.preview import make_preview
 from brdffit.svbrdf import Svbrdf
+from brdffit.textures import READING_OPTIONS
 from brdffit.textures.conversion import to_svbrdf, unread_roles
 from brdffit.textures.reading import read_texture_set
 from brdffit.textures.texture_set import TextureSet
@@ -73,10 +74,6 @@ def bake(
     *,
     method: str = "bfgs",
     preset: str | None = None,
-    roles: Mapping[str, str] | None = None,
-    normal_y: str | None = None,
-    wrap: str = "tile",
-    height_scale: float | None = None,
     without: Collection[str] = (),
     progress: ProgressListener | None = None,
     **options: Any,
@@ -87,19 +84,19 @@ def bake(
         source: a folder of textures, a .gltf, .glb or .mtlx file, a TextureSet or an Svbrdf.
         method: see ``brdffit methods``.
         preset: an engine's preset; says whether the specular scale and the anisotropy can be stored.
-        roles, normal_y, wrap, height_scale: how a folder is read, see ``read_texture_set``.
         without: roles of a set that are not read, see ``to_svbrdf``; without "normal" the normal is held.
         progress: told of phases and texels.
-        options: fields of ``BakeOptions``.
+        options: fields of ``BakeOptions``, and how a folder is read: those of ``textures.READING_OPTIONS``.
 
     Raises:
         InputError: for a source that cannot be used.
         UnknownNameError: for an unknown name.
     """
+    reading = {name: options.pop(name) for name in READING_OPTIONS if name in options}
     chosen, asked = get_method(method), _without_normals(bake_options(preset, options), without)
     phases = _Phases(progress)
     with phases("reading"):
-        texture_set = _texture_set(source, roles, normal_y, wrap, height_scale, without)
+        texture_set = _texture_set(source, reading, without)
         svbrdf = source if isinstance(source, Svbrdf) else _svbrdf(texture_set, asked, without)
     return _run(chosen, svbrdf, asked, phases, progress)
 
@@ -112,10 +109,6 @@ def bake_to_folder(
     preset: str = "plain",
     bits: int = 8,
     preview: bool = True,
-    roles: Mapping[str, str] | None = None,
-    normal_y: str | None = None,
-    wrap: str = "tile",
-    height_scale: float | None = None,
     without: Collection[str] = (),
     progress: ProgressListener | None = None,
     name: str | None = None,
@@ -131,10 +124,11 @@ def bake_to_folder(
         InputError, UnknownNameError: as ``bake``.
         OutputError: when the folder cannot be written; found out before the work where possible.
     """
+    reading = {name: options.pop(name) for name in READING_OPTIONS if name in options}
     chosen, asked = get_method(method), _without_normals(bake_options(preset, options), without)
     phases = _Phases(progress)
     with phases("reading"):
-        texture_set = _texture_set(source, roles, normal_y, wrap, height_scale, without)
+        texture_set = _texture_set(source, reading, without)
         name = name or (texture_set.name if texture_set else "svbrdf")
         folder = Path(output) / name
         export.check_writable(folder)
@@ -233,18 +227,11 @@ def _run(
         return method.bake(svbrdf, options, progress)
 
 
-def _texture_set(
-    source: Source, roles: Mapping[str, str] | None, normal_y: str | None, wrap: str, height_scale: float | None,
-    without: Collection[str],
-) -> TextureSet | None:  # fmt: skip
+def _texture_set(source: Source, reading: Mapping[str, Any], without: Collection[str]) -> TextureSet | None:
     """The set behind a source, or None for an Svbrdf."""
     if isinstance(source, Svbrdf):
         return None
-    if isinstance(source, TextureSet):
-        return source
-    return read_texture_set(
-        source, roles=roles, normal_y=normal_y, wrap=wrap, height_scale=height_scale, without=without
-    )
+    return source if isinstance(source, TextureSet) else read_texture_set(source, without=without, **reading)
 
 
 def _svbrdf(texture_set: TextureSet | None, options: BakeOptions, without: Collection[str]) -> Svbrdf:
@@ -277,6 +264,7 @@ def conventions_of(texture_set: TextureSet | None) -> dict[str, Any]:
         "normal_y_source": texture_set.normal_y_source,
         "wrap": texture_set.wrap,
         "height_scale": texture_set.height_scale,
+        "denoise_normals": texture_set.denoise_normals,
     }
 
 

@@ -25,6 +25,7 @@ from brdffit.cli_options import (
     texel_of,
 )
 from brdffit.errors import BrdffitError, UnknownNameError
+from brdffit.textures import READING_OPTIONS
 
 
 class _Group(click.Group):
@@ -173,7 +174,7 @@ def compare(
 
     if bool(sources) + bool(records) + bool(scene_file) != 1:
         raise click.UsageError("Give texture sets to compare, or --scene FILE, or --from FILE to draw a report anew.")
-    reading = {name: asked.pop(name) for name in ("roles", "normal_y", "wrap", "height_scale")}
+    reading = {name: asked.pop(name) for name in READING_OPTIONS}
     given = {name: value for name, value in asked.items() if value not in (None, False, ())}
     if records:
         page = redraw(records, output)
@@ -248,7 +249,7 @@ def doctor(source: str, manifest: str | None, as_json: bool, **asked: Any) -> No
     from brdffit.console import BakeDisplay, print_diagnosis
     from brdffit.doctor import diagnose
 
-    reading = {name: asked.pop(name) for name in ("roles", "normal_y", "wrap", "height_scale")}
+    reading = {name: asked.pop(name) for name in READING_OPTIONS}
     given = {name: value for name, value in asked.items() if value is not None}
     with BakeDisplay() as display:
         diagnosis = diagnose(source, manifest=manifest, reading=reading, phase=display.phase, **given)

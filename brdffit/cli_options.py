@@ -54,7 +54,9 @@ def reading_options(command: Callable) -> Callable:
     """Options that say how a set is read."""
     for option in (
         click.option("--height-scale", type=float, metavar="TEXELS", help="Texels between heights 0 and 1."),
-        click.option("--wrap", type=click.Choice(["tile", "clamp"]), default="tile"),
+        click.option("--material", metavar="NAME", help="Of a file that holds several; else the one that is used."),
+        click.option("--denoise-normals", is_flag=True, help="Read a map that only dithers between codes as flat."),
+        click.option("--wrap", **choice("tile", "clamp"), show_default="as the file says, or tile"),
         click.option(
             "--normal-y", type=click.Choice(["gl", "dx"]), help="Of the normal map; else told by names or slopes."
         ),

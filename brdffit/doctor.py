@@ -30,7 +30,7 @@ from brdffit.models import get_model
 from brdffit.roughness import eigenvalues_of_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures import encoding
-from brdffit.textures.conversion import to_svbrdf
+from brdffit.textures.conversion import moved_by_noise, to_svbrdf
 from brdffit.textures.reading import read_texture_set
 from brdffit.textures.texture_set import TextureSet
 
@@ -42,6 +42,8 @@ NEEDLE_WIDTHS, SHARP_TO_WIDE = 6.0, 5.0
 BRIGHT_SHARE, COLOUR_WIDTHS = 0.5, 0.5
 #: Roughness that counts as one, specular as none, length as short, spread (in code steps) as dither.
 ROUGH, BLACK, SHORT, DITHER = 0.98, 1e-4, 0.95, 4.0
+#: Lobe widths that the noise of a normal map's codes turns a normal by where it is worth a sentence.
+CODE_WIDTHS = 0.25
 #: A case rarer than this is not worth a sentence.
 LEAST_SHARE = 1e-4
 #: Level of the footprints of 2x2 and of 8x8 texels that are searched.
@@ -221,7 +223,7 @@ def _found(case: str, level: int, badness: NDArray, limit: float, meaning: str) 
 
 
 def _stored_normals(texture_set: TextureSet, svbrdf: Svbrdf) -> list[Finding]:
-    """What only the stored map tells: short vectors, and dither that was read as flat."""
+    """What only the stored map tells: short vectors, and noise of its codes."""
     named = texture_set.maps["normal"]
     pixels, noise = named.read()
     if pixels.shape[2] < 2:
@@ -229,10 +231,16 @@ def _stored_normals(texture_set: TextureSet, svbrdf: Svbrdf) -> list[Finding]:
     vectors = encoding.stored_vectors(pixels, named.info.is_float)
     found, texels = [], pixels.shape[0] * pixels.shape[1]
     spread = float(vectors[:, :, :2].std())
-    if 0.0 < spread < DITHER * noise.step and float(svbrdf.normal[:, :, :2].std()) < 0.1 * noise.step:
+    moved = moved_by_noise(texture_set)
+    if moved.shape == svbrdf.size and not texture_set.denoise_normals:
+        _, minor = eigenvalues_of_log(svbrdf.log_roughness)
+        found += _found("normals that their codes cannot tell", 0, moved / np.sqrt(minor), CODE_WIDTHS,
+                        f"Noise of the map's codes turns them by more than {CODE_WIDTHS:g} widths of their lobes, and "
+                        f"widens the levels: --denoise-normals takes it away.")  # fmt: skip
+    if 0.0 < spread < DITHER * noise.step and texture_set.denoise_normals:
         found.append(Finding("flat map that dithers", 0, texels, 1.0, [],
-                             "The normal map moves by no more than its codes can tell and is read as flat; at its word "
-                             "it would widen the lobe."))  # fmt: skip
+                             "The normal map moves by no more than its codes can tell and is read as flat, as asked; "
+                             "at its word it would widen the lobe."))  # fmt: skip
     if vectors.shape[2] == 3 and float(np.ptp(vectors[:, :, 2])) > 0.0:
         length = np.sqrt(np.einsum("ijk,ijk->ij", vectors, vectors))
         short = int(np.count_nonzero(length < SHORT))

@@ -108,7 +108,7 @@ def test_svbrdf_in_pyramid_out(glossy_tiles):
     assert get_method("naive").name == again.method
 
 
-def test_flat_dithered_map_stays_flat_and_glossy(tmp_path):
+def test_flat_dithered_map_is_flat_and_glossy_where_that_is_asked_for(tmp_path):
     """8-bit codes 127 and 128 at random: slopes of a code are noise, not a surface."""
     folder = tmp_path / "flat"
     folder.mkdir()
@@ -119,7 +119,7 @@ def test_flat_dithered_map_stays_flat_and_glossy(tmp_path):
     write_png(folder / "Flat_Color.png", np.full((SIZE, SIZE, 3), 200, np.uint8))
     write_png(folder / "Flat_Metallic.png", np.full((SIZE, SIZE), 255, np.uint8))
     for method in ("bfgs", "lean", "vmf"):
-        for level in bake(folder, method=method).levels:
+        for level in bake(folder, method=method, denoise_normals=True).levels:
             major, minor = eigenvalues_of_log(level.svbrdf.log_roughness)
             # Perceptual roughness within 1% of the authored 0.2, axes within 1% of each other.
             np.testing.assert_allclose(np.sqrt(np.sqrt(major)), 0.2, rtol=0.01)

@@ -21,6 +21,7 @@ from brdffit.fitting.status import CONVERGED, FALLBACK
 from brdffit.methods import BY_PLAN, QUALITIES, BakeOptions, Level, Pyramid, method_names
 from brdffit.models import model_names
 from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.textures import READING_OPTIONS
 
 METHODS = ["bfgs", "naive", "toksvig", "vmf", "lean", "filament", "godot", "flatten", "height"]
 MODELS = ["ggx", "blinn-phong", "ashikhmin-shirley", "beckmann", "generalised-beckmann"]
@@ -110,7 +111,6 @@ def test_bake_passes_on_only_what_was_given(run, baked):
     assert run("bake", "some/set", "--specular", "auto").exit_code == 0
     assert baked.arguments == {
         "source": "some/set", "output": Path("out"), "method": "bfgs", "preset": "plain", "bits": 8, "preview": True,
-        "wrap": "tile",
     }  # fmt: skip
 
 
@@ -119,7 +119,7 @@ def test_bake_passes_every_option_on(run, baked):
         "set.gltf -o there --preset gltf --quality fine --method lean --model beckmann --pixel-filter mitchell "
         "--levels 3 --threads 2 --normal-y dx --wrap clamp --keep-level-0 --min-roughness 0.1 --specular free "
         "--lobe isotropic --normal mean --density uniform --bits 16 --role normal=a.png --role orm=b=c.png "
-        "--height-scale 4 --no-preview --tolerance 0.1 --loss l1 --refine"
+        "--height-scale 4 --denoise-normals --material wall --no-preview --tolerance 0.1 --loss l1 --refine"
     )
     assert run("bake", *arguments.split()).exit_code == 0
     assert baked.arguments == {
@@ -127,9 +127,9 @@ def test_bake_passes_every_option_on(run, baked):
         "model": "beckmann", "pixel_filter": "mitchell", "levels": 3, "threads": 2, "normal_y": "dx", "wrap": "clamp",
         "keep_level_0": True, "min_roughness": 0.1, "specular": "free", "lobe": "isotropic", "normal": "mean",
         "density": "uniform", "bits": 16, "roles": {"normal": "a.png", "orm": "b=c.png"}, "height_scale": 4.0,
-        "preview": False, "tolerance": 0.1, "loss": "l1", "refine": True,
+        "denoise_normals": True, "material": "wall", "preview": False, "tolerance": 0.1, "loss": "l1", "refine": True,
     }  # fmt: skip
-    of_baking = {"source", "output", "preset", "method", "bits", "preview", "roles", "normal_y", "wrap", "height_scale"}
+    of_baking = {"source", "output", "preset", "method", "bits", "preview", *READING_OPTIONS}
     assert set(baked.arguments) - of_baking == {field.name for field in dataclasses.fields(BakeOptions)} - set(BY_PLAN)
 
 

@@ -106,8 +106,10 @@ def test_flat_maps_that_dither_and_short_normals_are_told_from_the_files(tmp_pat
     normal = np.dstack([rng.integers(127, 129, (16, 16, 2)), np.full((16, 16), 255)])
     normal[0, 0, 2] = 254  # a blue channel that says something
     write("wall_normal_gl.png", normal.astype(np.uint8))
-    write("wall_roughness.png", np.full((16, 16, 3), 40, np.uint8))
-    assert "flat map that dithers" in cases(tmp_path)
+    write("wall_roughness.png", np.full((16, 16, 3), 10, np.uint8))
+    assert "normals that their codes cannot tell" in cases(tmp_path)
+    assert "flat map that dithers" not in cases(tmp_path)
+    assert "flat map that dithers" in cases(tmp_path, reading={"denoise_normals": True})
     normal = np.dstack([rng.integers(90, 165, (16, 16, 2)), rng.integers(200, 230, (16, 16))])
     write("wall_normal_gl.png", normal.astype(np.uint8))
     assert "short normals" in cases(tmp_path)

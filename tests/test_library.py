@@ -134,7 +134,7 @@ def test_what_was_redone_is_up_to_date(library, change):
 
 OTHERS = {
     "levels": 1, "bits": 16, "preset": "godot", "method": "vmf", "wrap": "clamp", "lobe": "isotropic", "normal_y": "gl",
-    "height_scale": 2.0, "model": "beckmann", "min_roughness": 0.1, "pixel_filter": "gaussian",
+    "height_scale": 2.0, "denoise_normals": True, "model": "beckmann", "min_roughness": 0.1, "pixel_filter": "gaussian",
 }  # fmt: skip
 
 

@@ -110,7 +110,8 @@ def open_set(task: Task) -> TextureSet:
         role: Map(role, found.folder / each.file, each.channel, word=each.word) for role, each in named.maps.items()
     }
     texture_set = TextureSet(name=found.name, maps=maps, notes=list(named.notes))
-    texture_set.wrap, texture_set.height_scale = reading["wrap"], reading["height_scale"]
+    texture_set.wrap, texture_set.height_scale = reading["wrap"] or texture_set.wrap, reading["height_scale"]
+    texture_set.denoise_normals = reading["denoise_normals"]
     texture_set.maps |= sets.explicit_roles(found.folder, dict(reading["roles"] or {}))
     sets.normal_y_from_names(texture_set, named)
     sets.check_sizes(texture_set, found.folder)

@@ -28,6 +28,7 @@ from brdffit.baking import bake_options
 from brdffit.errors import InputError
 from brdffit.library.task import Found
 from brdffit.methods import get_method
+from brdffit.textures import READING_OPTIONS
 
 FILE_NAME = "library.toml"
 
@@ -56,6 +57,8 @@ class Overrides(Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=T
     wrap: Literal["tile", "clamp"] | None = None
     normal_y: Literal["gl", "dx"] | None = None
     height_scale: Positive | None = None
+    denoise_normals: bool | None = None
+    material: str | None = None
     roles: dict[str, str] | None = None
 
     def given(self) -> dict[str, Any]:
@@ -126,8 +129,8 @@ def split_options(said: dict[str, Any]) -> dict[str, Any]:
         UnknownNameError: for an unknown method, model or preset.
     """
     said = {name: value for name, value in said.items() if value not in (None, "auto")}
-    reading = {name: said.pop(name, None) for name in ("roles", "normal_y", "height_scale")}
-    reading["wrap"] = said.pop("wrap", "tile")
+    reading = {name: said.pop(name, None) for name in READING_OPTIONS}
+    reading["denoise_normals"] = bool(reading["denoise_normals"])
     method, preset, bits = said.pop("method", "bfgs"), said.pop("preset", "plain"), int(said.pop("bits", 8))
     get_method(method)
     bake_options(preset, said)

@@ -25,6 +25,7 @@ from brdffit.errors import InputError
 from brdffit.export.presets import preset_names
 from brdffit.models import model_names
 from brdffit.planning.effects import NAMES
+from brdffit.textures import READING_OPTIONS
 
 #: The environment that ships, by name.
 PROCEDURAL = "procedural"
@@ -97,7 +98,8 @@ class Surface(_Strict, frozen=True, kw_only=True):
         texel_size: side of a base texel in metres; at most one of this and ``repetitions``.
         repetitions: of the texture's width per metre; None with no ``texel_size`` either: 1.
         radius: of a curved surface, in metres; None: flat.
-        roles, normal_y, wrap, height_scale: how the set is read, as the options of ``brdffit bake``.
+        roles, normal_y, wrap, height_scale, denoise_normals, material: how the set is read, as the options of
+            ``brdffit bake``.
     """
 
     set: str
@@ -107,8 +109,10 @@ class Surface(_Strict, frozen=True, kw_only=True):
     radius: Positive | None = None
     roles: dict[str, str] | None = None
     normal_y: NormalY | None = None
-    wrap: Wrap = "tile"
+    wrap: Wrap | None = None
     height_scale: Positive | None = None
+    denoise_normals: bool = False
+    material: str | None = None
 
     def __post_init__(self) -> None:
         if self.texel_size is not None and self.repetitions is not None:
@@ -124,7 +128,7 @@ class Surface(_Strict, frozen=True, kw_only=True):
 
     def reading(self) -> dict[str, Any]:
         """Arguments of ``brdffit.textures.texture_set.read_texture_set``."""
-        return {name: getattr(self, name) for name in ("roles", "normal_y", "wrap", "height_scale")}
+        return {name: getattr(self, name) for name in READING_OPTIONS}
 
 
 class Light(_Strict, frozen=True, kw_only=True):

@@ -58,9 +58,11 @@ set = {set}
 name = {name:<24} # of its output folder; "": as the set
 # repetitions = 1.0             # of the texture's width per metre; or texel_size = 0.002, in metres
 # radius = 0.5                  # of a curved surface; flat without it
-wrap = "tile"                   # tile or clamp
+# wrap = "tile"                 # tile or clamp; else as the file says, or tile
 # normal_y = "gl"               # gl or dx; else told by names or slopes
 # height_scale = 8              # texels between heights 0 and 1
+# denoise_normals = true        # read a normal map that only dithers between codes as flat
+# material = "Name"             # of a glTF or MaterialX file that holds several
 # roles = {{ normal = "bumps.png" }}
 """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from brdffit.methods import one_of
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures import encoding
+from brdffit.textures.noise_floor import flat_as_flat, subtract_noise_floor
 from brdffit.textures.orientation import scale_from_slopes
 from brdffit.textures.texture_set import Map, TextureSet
 
@@ -86,7 +88,7 @@ def unread_roles(texture_set: TextureSet, without: Collection[str]) -> list[str]
 
 
 def decode_normals(texture_set: TextureSet) -> NDArray:
-    """Vectors (h, w, 3) of the normal map at its own size: OpenGL, without the noise floor, not yet of unit length.
+    """Vectors (h, w, 3) of the normal map at its own size: OpenGL, not of unit length yet; without noise if asked.
 
     Raises:
         InputError: when the map cannot be read or is no normal map.
@@ -101,7 +103,9 @@ def decode_normals(texture_set: TextureSet) -> NDArray:
     if two_channel and vectors.shape[2] > 2 and float(np.ptp(vectors, axis=(0, 1)).max()) == 0.0:
         two_channel = not 0.0 < float(vectors[0, 0, 2])  # a constant map keeps what it says
     _check_normals(named, pixels, vectors, two_channel)
-    xy = encoding.subtract_noise_floor(vectors[:, :, :2], noise, texture_set.wrap)
+    xy = flat_as_flat(vectors[:, :, :2], noise)
+    if texture_set.denoise_normals:
+        xy = subtract_noise_floor(xy, noise, texture_set.wrap)
     z = encoding.rebuild_z(xy) if two_channel else vectors[:, :, 2]
     if two_channel:
         texture_set.note(f"The normal map '{named.path.name}' has two channels: z is rebuilt from x and y.")
@@ -109,6 +113,13 @@ def decode_normals(texture_set: TextureSet) -> NDArray:
     if texture_set.normal_y == "dx":
         xy[:, :, 1] *= -1.0
     return np.concatenate([xy, z[:, :, None]], axis=2)
+
+
+def moved_by_noise(texture_set: TextureSet) -> NDArray:
+    """(h, w) angle in radians that ``denoise_normals`` moves each normal by, at the normal map's own size."""
+    plain, _ = encoding.unit_normals(decode_normals(replace(texture_set, denoise_normals=False, notes=[])))
+    quiet, _ = encoding.unit_normals(decode_normals(replace(texture_set, denoise_normals=True, notes=[])))
+    return 2.0 * np.arcsin(np.clip(0.5 * np.sqrt(np.square(plain - quiet).sum(axis=2)), 0.0, 1.0))
 
 
 def _check_normals(named: Map, pixels: NDArray, vectors: NDArray, two_channel: bool) -> None:

@@ -17,10 +17,11 @@ from urllib.parse import unquote
 import numpy as np
 
 from brdffit.errors import InputError
+from brdffit.methods import one_of
 from brdffit.textures.texture_set import Map, TextureSet
 
 
-def read_gltf(path: Path, data: bytes) -> TextureSet:
+def read_gltf(path: Path, data: bytes, name: str | None = None) -> TextureSet:
     """The texture set of a glTF file's material; its name is the file's stem.
 
     Raises:
@@ -34,11 +35,15 @@ def read_gltf(path: Path, data: bytes) -> TextureSet:
         raise InputError(f"'{path}' is no glTF file: its JSON cannot be read ({error}).") from error
     if not materials:
         raise InputError(f"'{path}' has no materials, expected one with a normal texture.")
-    material = next((candidate for candidate in materials if "normalTexture" in candidate), materials[0])
+    if name is None:
+        material = next((candidate for candidate in materials if "normalTexture" in candidate), materials[0])
+    else:
+        names = [str(candidate.get("name", at)) for at, candidate in enumerate(materials)]
+        material = materials[names.index(one_of("material", name, names))]
     texture_set = TextureSet(name=path.stem, maps={}, normal_y="gl", normal_y_source="convention", entry=path)
     if len(materials) > 1:
-        name = material.get("name", materials.index(material))
-        texture_set.note(f"'{path.name}' has {len(materials)} materials: '{name}' is read, the others are left out.")
+        read = material.get("name", materials.index(material))
+        texture_set.note(f"'{path.name}' has {len(materials)} materials: '{read}' is read, the others are left out.")
     try:
         _gltf_maps(texture_set, path, document, binary, material)
     except (KeyError, IndexError, TypeError, ValueError) as error:

@@ -12,6 +12,7 @@ from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures import encoding
 from brdffit.textures.conversion import scalar_map, to_svbrdf
+from brdffit.textures.noise_floor import subtract_noise_floor
 from brdffit.textures.orientation import DECISIVE, normal_y_agreement
 from brdffit.textures.texture_set import TextureSet
 
@@ -134,11 +135,12 @@ def _look_at_map(inspection: Inspection, texture_set: TextureSet, role: str) -> 
     xy = vectors[:, :, :2]
     spread = float(xy.std())
     if 0.0 < spread < 4.0 * noise.step:
-        kept = float(encoding.subtract_noise_floor(xy, noise, texture_set.wrap).std(axis=(0, 1)).max())
+        kept = float(subtract_noise_floor(xy, noise, texture_set.wrap).std(axis=(0, 1)).max())
         if kept < 0.1 * noise.step:
+            read = "is read as flat" if texture_set.denoise_normals else "--denoise-normals reads it as flat"
             inspection.wrong.append(
                 f"'{named.path.name}' is flat: it only dithers between neighbouring codes of its {named.info.bits} "
-                f"bits (standard deviation {spread / noise.step:.1f} codes), and is read as flat."
+                f"bits (standard deviation {spread / noise.step:.1f} codes); {read}."
             )
     agreement, evidence = normal_y_agreement(texture_set)
     stored = "gl" if agreement > 0.0 else "dx"

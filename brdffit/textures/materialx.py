@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from brdffit.errors import InputError
+from brdffit.methods import one_of
 from brdffit.textures.naming import roles_from_names
 from brdffit.textures.texture_set import Map, TextureSet
 
@@ -65,7 +66,7 @@ _IMAGE_NODES = (
 _MAX_DEPTH = 32
 
 
-def read_materialx(path: Path, data: bytes) -> TextureSet:
+def read_materialx(path: Path, data: bytes, name: str | None = None) -> TextureSet:
     """The texture set of the first surface shader in a MaterialX document.
 
     Raises:
@@ -79,14 +80,18 @@ def read_materialx(path: Path, data: bytes) -> TextureSet:
         raise InputError(f"'{path}' is no MaterialX file: its XML cannot be read ({error}).") from error
     if root.tag != "materialx":
         raise InputError(f"'{path}' is an XML file of <{root.tag}>, expected <materialx>.")
-    shader = next((node for node in root.iter() if node.tag in _SHADER_INPUTS), None)
+    shaders = [node for node in root.iter() if node.tag in _SHADER_INPUTS]
+    if name is not None:
+        names = [node.get("name", "") for node in shaders]
+        shaders = [shaders[names.index(one_of("material", name, names))]]
+    shader = next(iter(shaders), None)
     if shader is None:
         raise InputError(f"'{path}' has no surface shader of {', '.join(_SHADER_INPUTS)}, expected one.")
     graph = _Graph(path, root)
     texture_set = TextureSet(name=path.stem, maps={}, normal_y="gl", normal_y_source="convention", entry=path)
     try:
-        for name, role in _SHADER_INPUTS[shader.tag].items():
-            graph.follow_into(texture_set, shader, name, role)
+        for port, role in _SHADER_INPUTS[shader.tag].items():
+            graph.follow_into(texture_set, shader, port, role)
         for node in root.iter("displacement"):
             graph.follow_into(texture_set, node, "displacement", "height")
     except (ValueError, IndexError) as error:

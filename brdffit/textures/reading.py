@@ -20,7 +20,7 @@ from brdffit.textures.texture_set import MAX_SIDE, NORMAL_YS, Map, TextureSet
 SUFFIXES = (".gltf", ".glb", ".mtlx")
 
 
-def read_material(path: Path) -> TextureSet:
+def read_material(path: Path, material: str | None = None) -> TextureSet:
     """The texture set of a material file; its name is the file's stem.
 
     Raises:
@@ -37,7 +37,7 @@ def read_material(path: Path) -> TextureSet:
         raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
     if not data:
         raise InputError(f"'{path}' is empty (0 bytes), expected a {suffix} file.")
-    return read_materialx(path, data) if suffix == ".mtlx" else read_gltf(path, data)
+    return read_materialx(path, data, material) if suffix == ".mtlx" else read_gltf(path, data, material)
 
 
 def read_texture_set(
@@ -45,8 +45,10 @@ def read_texture_set(
     *,
     roles: Mapping[str, str] | None = None,
     normal_y: str | None = None,
-    wrap: str = "tile",
+    wrap: str | None = None,
     height_scale: float | None = None,
+    denoise_normals: bool = False,
+    material: str | None = None,
     without: Collection[str] = (),
 ) -> TextureSet:
     """Find the maps of a material and their conventions; pixels are read later, one map at a time.
@@ -57,8 +59,10 @@ def read_texture_set(
             packing such as "orm"; a file may end in ":R", ":G", ":B" or ":A" to name a channel.
         normal_y: "gl" or "dx", which wins over names; None tells it from names, from the height map, or from the
             slopes themselves (those of a surface have no curl), and says which.
-        wrap: "tile" or "clamp".
+        wrap: "tile" or "clamp"; None is what the material file says, or else "tile".
         height_scale: texels between the height values 0 and 1; None derives it.
+        denoise_normals: read the normal map without what its codes cannot tell from a flat one, see ``noise_floor``.
+        material: name of the material to read from a file that holds several; None takes the one that is used.
         without: roles that will not be read (see ``conversion.to_svbrdf``): without "normal" nothing is asked of it.
 
     Raises:
@@ -71,8 +75,9 @@ def read_texture_set(
             raise UnknownNameError(kind, value, known)
     if height_scale is not None and not (np.isfinite(height_scale) and height_scale > 0.0):
         raise InputError(f"The height scale is {height_scale}, expected a positive number of texels.")
-    texture_set = _find_maps(path, dict(roles or {}))
-    texture_set.wrap, texture_set.height_scale = wrap, height_scale
+    texture_set = _find_maps(path, dict(roles or {}), material)
+    texture_set.wrap = wrap or texture_set.wrap
+    texture_set.height_scale, texture_set.denoise_normals = height_scale, denoise_normals
     check_sizes(texture_set, path)
     if "normal" in without and texture_set.maps:
         return texture_set
@@ -87,11 +92,11 @@ def read_texture_set(
     return texture_set
 
 
-def _find_maps(path: Path, roles: dict[str, str]) -> TextureSet:
+def _find_maps(path: Path, roles: dict[str, str], material: str | None) -> TextureSet:
     if not path.exists():
         raise InputError(f"'{path}' does not exist, expected a folder of textures or a .gltf, .glb or .mtlx file.")
     if path.is_file():
-        texture_set = read_material(path)
+        texture_set = read_material(path, material)
         texture_set.maps |= explicit_roles(path.parent, roles)
         return texture_set
     try:
@@ -108,7 +113,7 @@ def _find_maps(path: Path, roles: dict[str, str]) -> TextureSet:
     named = roles_from_names(images, [name for name, info in infos.items() if info and len(info.channels) in (2, 4)])
     surface_named = {"normal", "height"} & (named.maps.keys() | explicit.keys())
     if not surface_named and len(scenes) == 1:
-        texture_set = read_material(path / scenes[0])
+        texture_set = read_material(path / scenes[0], material)
         texture_set.name = path.resolve().name
         texture_set.maps |= explicit
         return texture_set

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from brdffit.errors import InputError
 from brdffit.files.image_io import ImageInfo, file_sha256, read_image, read_info
 from brdffit.textures import encoding
+from brdffit.textures.noise_floor import CodeNoise, code_noise
 
 NORMAL_YS = ("gl", "dx")
 #: Longest side of a map; more is taken for a damaged header.
@@ -48,7 +49,7 @@ class Map:
         """(height, width) in texels."""
         return self.info.height, self.info.width
 
-    def read(self) -> tuple[NDArray[np.float32], encoding.CodeNoise]:
+    def read(self) -> tuple[NDArray[np.float32], CodeNoise]:
         """Pixels (H, W, C) as stored, integers scaled to [0, 1], and the noise of their codes.
 
         Raises:
@@ -65,7 +66,7 @@ class Map:
         bits = image.bits
         if bits == 16 and not image.is_float and not (np.rint(pixels * 65535.0) % 257).any():
             bits = 8  # eight bits in sixteen: the noise floor is that of the codes in use
-        return pixels, encoding.code_noise(bits, image.is_float, image.format)
+        return pixels, code_noise(bits, image.is_float, image.format)
 
     def quantity(self, pixels: NDArray) -> tuple[NDArray, str]:
         """(H, W) of the one quantity this map holds, of its pixels; and the channel taken ("" when all are alike).
@@ -97,6 +98,7 @@ class TextureSet:
         normal_y_source: how ``normal_y`` is known: "given", "name", "convention", "height", "slopes" or "assumed".
         wrap: "tile" or "clamp".
         height_scale: texels between height values 0 and 1, or None to be derived.
+        denoise_normals: whether the normals are read without what their codes cannot tell from flat (``noise_floor``).
         factors: constants that multiply a map, or stand for it: "base_color" (3,), "metallic", "roughness",
             "specular" (3,), "normal" (of x and y), "occlusion", "gloss".
         ignored: image files that were not used.
@@ -110,6 +112,7 @@ class TextureSet:
     normal_y_source: str = "assumed"
     wrap: str = "tile"
     height_scale: float | None = None
+    denoise_normals: bool = False
     factors: dict[str, NDArray | float] = field(default_factory=dict)
     ignored: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

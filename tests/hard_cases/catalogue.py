@@ -18,7 +18,7 @@ from brdffit.methods import BakeOptions
 from brdffit.models import get_model
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 from brdffit.svbrdf import Svbrdf, level_sizes
-from brdffit.textures import encoding
+from brdffit.textures import encoding, noise_floor
 
 #: The roughness floor as alpha.
 FLOOR = DEFAULT_MIN_ROUGHNESS**2
@@ -118,7 +118,7 @@ def _dither(model: str) -> Svbrdf:
 
 
 def _dither_read(model: str) -> Svbrdf:
-    xy = encoding.subtract_noise_floor(_dither_codes(), encoding.code_noise(8, False, "png"), "tile")
+    xy = noise_floor.subtract_noise_floor(_dither_codes(), noise_floor.code_noise(8, False, "png"), "tile")
     return surface(SIZE, slopes=-xy, alpha=FLOOR, model=model)
 
 

@@ -12,7 +12,7 @@ from pictures import bumps, write_image
 
 from brdffit.files.image_io import read_image
 from brdffit.textures import encoding
-from brdffit.textures.encoding import code_noise, subtract_noise_floor
+from brdffit.textures.noise_floor import code_noise, flat_as_flat, subtract_noise_floor
 
 PNG = code_noise(8, False, "png")
 #: Rounding of float32 in a component of at most 1, through some ten levels of a pyramid.
@@ -21,6 +21,15 @@ ROUNDING = 2e-6
 
 def decoded(codes: np.ndarray, top: int = 255) -> np.ndarray:
     return (2.0 * codes / top - 1.0).astype(np.float32)
+
+
+@pytest.mark.parametrize(("codes", "flat"), [((127, 128), True), ((128, 128), True), ((126, 128), False)])
+def test_only_a_map_that_is_flat_throughout_is_made_exactly_flat(codes, flat) -> None:
+    xy = np.broadcast_to(decoded(np.array(codes)), (4, 6, 2))
+    assert (flat_as_flat(xy, PNG)[..., 0] == 0.0).all() == flat
+    bumpy = xy.copy()
+    bumpy[1, 2] += PNG.step
+    np.testing.assert_array_equal(flat_as_flat(bumpy, PNG), bumpy)
 
 
 @settings(deadline=None, max_examples=60)

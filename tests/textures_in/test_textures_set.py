@@ -15,8 +15,8 @@ from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.reading import read_texture_set
 
 HEIGHT, NORMAL = bumps()
-#: Normals read from 8 bits: half a code on each axis, and the noise floor's share of these slopes.
-EIGHT_BITS = 0.008
+#: Normals read from 8 bits: half a code, 1/255, on each axis, and what bringing them to length adds.
+EIGHT_BITS = 0.006
 
 
 def read(path: Path, **options):
@@ -119,8 +119,19 @@ def test_an_all_zero_normal_map_is_flat(make_folder) -> None:
 
 def test_eight_bits_kept_in_sixteen_have_the_noise_floor_of_eight(make_folder) -> None:
     codes = np.broadcast_to([127, 127, 255], (32, 32, 3)) + np.random.default_rng(0).integers(0, 2, (32, 32, 3))
-    _, svbrdf = read(make_folder(a_NormalGL__png=(codes.clip(0, 255) / 255.0, "uint16")))
+    folder = make_folder(a_NormalGL__png=(codes.clip(0, 255) / 255.0, "uint16"))
+    _, svbrdf = read(folder, denoise_normals=True)
     np.testing.assert_array_equal(svbrdf.normal[:, :, :2], 0.0)
+
+
+@pytest.mark.parametrize("kind", ["uint8", "uint16"])
+def test_the_normal_map_as_stored_is_the_truth(make_folder, kind: str) -> None:
+    """Decoded as an engine decodes it: no texel is moved by its neighbours."""
+    top = {"uint8": 255, "uint16": 65535}[kind]
+    codes = np.rint(encoded(NORMAL) * top)
+    _, svbrdf = read(make_folder(a_NormalGL__png=(codes / top, kind)))
+    vectors = 2.0 * codes / top - 1.0
+    np.testing.assert_allclose(svbrdf.normal, vectors / np.linalg.norm(vectors, axis=2, keepdims=True), atol=1e-6)
 
 
 def test_a_height_map_alone_gives_the_normals(make_folder) -> None:
