@@ -1,15 +1,18 @@
 """The one place that compiles: flags, the cache folder, and how a template becomes one kernel a model.
 
 A cached caller of Numba keeps using an edited callee of another module, silently. So the cache lives in a folder
-named after the hash of all kernel sources: an edit anywhere starts a fresh one.
+named after the hash of all kernel sources: an edit anywhere starts a fresh one. A lobe of the user's own is bound into
+our kernels; what is compiled with it lives in a folder named after the sources of all that is bound as well.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import sys
 import types as python_types
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -107,8 +110,60 @@ def _compile(function: Callable, **flags: Any) -> Any:
     """
     flags["_nrt"] = bool(_ALLOCATORS & set(function.__code__.co_names))
     group = "render" if function.__module__.startswith("brdffit.render.") else "fitting"
-    numba.config.CACHE_DIR = CACHE_FOLDERS[group]  # type: ignore[attr-defined]  # Numba reads it at decoration
+    foreign = _foreign_sources(function)
+    folder = CACHE_FOLDERS[group] + (f"-{_digest_of(foreign)}" if foreign else "")
+    numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]  # Numba reads it at decoration
     return numba.njit(**flags)(function)
+
+
+#: Modules whose functions Numba compiles in ways of its own: a version of the machine's, not a source of the user's.
+_NOT_FOLLOWED = {*sys.stdlib_module_names, "numpy", "numba", "scipy", "llvmlite"}
+
+
+def _foreign_sources(function: Callable) -> frozenset[str]:
+    """What a kernel stands on that is no part of brdffit: files of the functions it calls, and values that those read.
+
+    Functions are followed through the globals that they name, attributes of modules included.
+    """
+    own = str(Path(__file__).parent) + os.sep
+    found: set[str] = set()
+    seen: set[int] = set()
+    waiting: list[Any] = [function]
+    while waiting:
+        each = waiting.pop()
+        each = getattr(each, "py_func", each)
+        if id(each) in seen or not isinstance(each, python_types.FunctionType):
+            continue
+        seen.add(id(each))
+        source = each.__code__.co_filename
+        foreign = not source.startswith(own)
+        if foreign:
+            found.add(f"file {source}")
+        for name in each.__code__.co_names:
+            value = each.__globals__.get(name)
+            if isinstance(value, python_types.ModuleType):
+                if foreign and value.__name__.partition(".")[0] not in _NOT_FOLLOWED:
+                    waiting += [getattr(value, other, None) for other in each.__code__.co_names]
+            elif hasattr(value, "py_func") or (foreign and isinstance(value, python_types.FunctionType)):
+                waiting.append(value)
+            elif foreign and isinstance(value, (bool, int, float, complex, str, tuple)):
+                found.add(f"value {name} {value!r}")
+        closed = [cell.cell_contents for cell in each.__closure__ or ()] if foreign else []
+        waiting += closed
+        found |= {f"value {value!r}" for value in closed if isinstance(value, (bool, int, float, complex, str, tuple))}
+    return frozenset(found)
+
+
+@cache
+def _digest_of(sources: frozenset[str]) -> str:
+    digest = hashlib.sha256()
+    for source in sorted(sources):
+        kind, _, rest = source.partition(" ")
+        path = Path(rest)
+        digest.update(source.encode())
+        if kind == "file" and path.is_file():
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def kernel(function: Callable) -> Any:

@@ -6,7 +6,7 @@ from lobe_oracle import MODELS, box_footprint, half_angle_weight, lobe, log_tens
 
 from brdffit.fitting import method as fitting_method
 from brdffit.fitting.batch import model_kernels
-from brdffit.fitting.status import FALLBACK, FLAT, KEPT, NO_SPECULAR, STATUSES
+from brdffit.fitting.status import CONVERGED, FALLBACK, FLAT, KEPT, NO_SPECULAR, PRECISION_LIMIT, STATUSES
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.measure import measure
@@ -227,7 +227,7 @@ def test_conversion_at_level_0_is_the_best_of_a_scan(target):
     shape = float(found.shape[0, 0]) if found.shape is not None else 0.0
     # Second order in what 128 nodes miss; a scan of 120 steps is itself 1e-4 off.
     assert error(alpha, shape) <= best + 2e-3
-    assert level.status[0, 0] == (KEPT if target == "ggx" else level.status[0, 0])
+    assert level.status[0, 0] in ((KEPT,) if target == "ggx" else (CONVERGED, PRECISION_LIMIT))
 
 
 def test_level_0_may_be_kept(bumpy):

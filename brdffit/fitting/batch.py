@@ -15,7 +15,7 @@ from brdffit.fitting.scoring import EVALUATIONS, FILTERED, REPORT, RESIDUAL
 from brdffit.fitting.status import FALLBACK
 from brdffit.fitting.texel import GUARDS, Rule, Scratch, Search, fit_texel
 from brdffit.halfangle import objective, quadrature
-from brdffit.halfangle.apparent_lobe import Base, Strata
+from brdffit.halfangle.apparent_lobe import Base, Strata, example_base, example_strata
 from brdffit.halfangle.closed_forms import MOMENTS, STARTS
 from brdffit.halfangle.quadrature import lattice
 from brdffit.halfangle.response import NO_RESPONSE
@@ -198,9 +198,7 @@ def fitting_kernel(float_width: int) -> Any:
 
 def _example(float_width: int) -> tuple[Any, ...]:
     """Arguments of ``fit_rows`` up to the functions, for their types alone."""
-    image, plane, line = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32), np.zeros(1)
-    level = LevelRules(Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0), 1, (lattice(1),) * TIERS)
-    base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, False, True)
+    base, level = example_base(), LevelRules(example_strata(), 1, (lattice(1),) * TIERS)
     search = Search(0, False, 3, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0, 0, 0.0, 0.0, 0, 0, NO_RESPONSE)
     indices = np.zeros(1, np.int64)
     return base, level.strata, indices, indices, search, *make_workplace(level, float_width), make_output(1)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from brdffit._jit import kernel, numba_type, types
 from brdffit.fitting.batch import LevelRules
 from brdffit.fitting.interpolation import CHANNELS, PARAMETERS, channels_of
-from brdffit.halfangle.apparent_lobe import Base, Strata
+from brdffit.halfangle.apparent_lobe import Strata, example_base, example_strata
 from brdffit.halfangle.closed_forms import STEEPEST_SLOPE
 from brdffit.halfangle.measure import target_table
 from brdffit.halfangle.objective import log_normalisation_type
@@ -132,11 +132,9 @@ def _tables(base, strata, points, columns, rows, exponent, lobes, nodes, norm, t
 @cache
 def tables_kernel() -> Any:
     """``_tables`` compiled for function-typed arguments: once for all models."""
-    image, plane, line = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32), np.zeros(1)
-    base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, False, True)
-    rule = Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0)
-    index = np.zeros(1, np.int64)
-    data = (base, rule, lattice(1), index, index, 3, np.zeros((1, 1)), np.zeros((1, 1, 1), np.float32), line)
+    index, line = np.zeros(1, np.int64), np.zeros(1)
+    nodes = np.zeros((1, 1, 1), np.float32)
+    data = (example_base(), example_strata(), lattice(1), index, index, 3, np.zeros((1, 1)), nodes, line)
     _tables.compile((*map(numba_type, data), tabulate_type(types.float32), log_normalisation_type))
     _tables.disable_compile()
     return _tables

@@ -98,6 +98,21 @@ class Strata(NamedTuple):
         return len(self.x) * len(self.y)
 
 
+def example_base() -> Base:
+    """A base of one texel, for the types of its fields alone: kernels are compiled for them."""
+    image, plane = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32)
+    return Base(
+        normal=image, perceptual=plane, log_roughness=image, specular=image, diffuse=image, shape=plane,
+        default_shape=0.0, isotropic=True, grey=False, has_diffuse=False, has_shape=False, tile=True,
+    )  # fmt: skip
+
+
+def example_strata() -> Strata:
+    """Strata of one sample, for the types of their fields alone."""
+    line = np.zeros(1)
+    return Strata(line, line, line, line, jitter_x=0.0, jitter_y=0.0, scale_x=1.0, scale_y=1.0, seed=0)
+
+
 def base_of(svbrdf: Svbrdf, default_shape: float = 0.0) -> Base:
     """Pack an Svbrdf for the kernels (no array is copied unless its type differs)."""
     log_roughness = _plain(svbrdf.log_roughness)

@@ -22,6 +22,8 @@ from brdffit.halfangle.apparent_lobe import (
     Base,
     Strata,
     add_defensive_lobe,
+    example_base,
+    example_strata,
     gather_lobes,
     normalise_mixture,
     normalise_shapes,
@@ -151,11 +153,8 @@ def measure_rows(base, strata, points, columns, rows, exponent, theta, scale, er
 @cache
 def _measuring_kernel() -> Any:
     """``measure_rows`` compiled for function-typed arguments: once for all models, kept on disk."""
-    image, plane, line = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32), np.zeros(1)
-    base = Base(image, plane, image, image, image, plane, 0.0, True, False, False, False, True)
-    rule = Strata(line, line, line, line, 0.0, 0.0, 1.0, 1.0, 0)
     index, triple, figures = np.zeros(1, np.int64), np.zeros((1, 1, 1)), np.zeros((1, 1))
-    data = (base, rule, lattice(1), index, index, 3, triple, triple, figures, figures)
+    data = (example_base(), example_strata(), lattice(1), index, index, 3, triple, triple, figures, figures)
     functions = (tabulate_type(types.float32), lobe_values_type(types.float32), *(log_normalisation_type,) * 2)
     measure_rows.compile((*map(numba_type, data), *functions))
     measure_rows.disable_compile()
