@@ -12,7 +12,8 @@ from benchmarks.record import Section, Target
 from brdffit.methods import BakeOptions, get_method
 from brdffit.render import scenes
 from brdffit.render.environment import procedural_environment
-from brdffit.render.reference import render_halves, render_pyramid, render_reference
+from brdffit.render.pictures import render_appearance
+from brdffit.render.reference import render_halves, render_reference
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
 
@@ -70,14 +71,14 @@ def _rows(name: str, svbrdf: Svbrdf, quick: bool) -> list[dict[str, object]]:
         # The first picture compiles; a small one is enough.
         small = scenes.plane(svbrdf.size, 0, (4, 4))
         render_reference(svbrdf, small, environment=environment, samples=4)
-        render_pyramid(pyramid, small, environment=environment)
+        render_appearance(pyramid, small, environment=environment)
         noise: list[float] = []
 
         def reference(scene=scene, environment=environment, noise=noise) -> None:  # type: ignore[no-untyped-def]
             noise.append(render_halves(svbrdf, scene, environment=environment).noise_db)
 
         def method(scene=scene, environment=environment) -> None:  # type: ignore[no-untyped-def]
-            render_pyramid(pyramid, scene, environment=environment)
+            render_appearance(pyramid, scene, environment=environment)
 
         row: dict[str, object] = {
             "set": name,

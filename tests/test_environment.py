@@ -7,7 +7,8 @@ import pytest
 
 from brdffit.render import scenes, shading
 from brdffit.render.environment import Environment, procedural_environment
-from brdffit.render.reference import render_halves, render_pyramid, render_reference
+from brdffit.render.pictures import render_appearance
+from brdffit.render.reference import render_halves, render_reference
 from brdffit.render.terms import Terms
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
@@ -81,7 +82,7 @@ def test_the_white_furnace(roughness):
     scene = scenes.sphere(base.size, 0, (9, 9))
     pictures = [
         render_reference(base, scene, environment=sky, samples=4096),
-        render_pyramid([base], scene, environment=sky),
+        render_appearance([base], scene, environment=sky),
     ]
     for at in [(4, 4), (4, 7), (2, 3)]:
         expected = albedo(roughness, float(scene.view[at][2]), Terms()) if roughness > 0.1 else None
@@ -112,7 +113,7 @@ def test_the_studio_by_brute_force(roughness, angle):
     reference = render_reference(base, scene, environment=studio, samples=16384)[0, 1]
     # Nine harmonics are good to 3% of the diffuse part under small lamps; pixels are wider than the narrow lobe's node.
     np.testing.assert_allclose(reference, expected, rtol=0.05)
-    np.testing.assert_allclose(render_pyramid([base], scene, environment=studio)[0, 1], reference, rtol=0.05)
+    np.testing.assert_allclose(render_appearance([base], scene, environment=studio)[0, 1], reference, rtol=0.05)
 
 
 def test_diffuse_light_is_the_cosine_filtered_environment():

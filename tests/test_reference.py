@@ -12,7 +12,8 @@ from brdffit.methods import BakeOptions, get_method, method_names
 from brdffit.models import model_names
 from brdffit.render import scenes, shading
 from brdffit.render.lights import Lights
-from brdffit.render.reference import pair_errors, render_halves, render_pyramid, render_reference
+from brdffit.render.pictures import render_appearance
+from brdffit.render.reference import pair_errors, render_halves, render_reference
 from brdffit.render.terms import LOBE_ONLY, Terms
 from brdffit.roughness import log_tensor_from_perceptual, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -64,7 +65,7 @@ def test_kernels_agree_with_the_plain_shader(model, isotropic):
 
     tensor = tensor_from_log(base.log_roughness[0, 0].astype(float))
     texel = base.normal[0, 0], tensor, base.specular[0, 0], base.diffuse[0, 0]
-    pictures = [render_reference(base, scene, LIGHTS, samples=4), render_pyramid([base], scene, LIGHTS)]
+    pictures = [render_reference(base, scene, LIGHTS, samples=4), render_appearance([base], scene, LIGHTS)]
     for at in np.argwhere(scene.coverage > 0.0):
         expected = shaded(texel, scene, tuple(at), profile=with_shape)
         for picture in pictures:
@@ -82,7 +83,7 @@ def test_a_constant_material_is_the_same_by_every_closed_form(method):
     for level in range(4):
         scene = scenes.plane(base.size, level, (4, 4))
         truth = render_reference(base, scene, LIGHTS, samples=64)
-        np.testing.assert_allclose(render_pyramid(pyramid, scene, LIGHTS), truth, rtol=KERNEL)
+        np.testing.assert_allclose(render_appearance(pyramid, scene, LIGHTS), truth, rtol=KERNEL)
 
 
 def test_the_reference_is_the_average_under_the_box():
@@ -164,7 +165,7 @@ def test_a_shift_by_a_whole_pixel_rolls_the_picture():
     one, other = (render_reference(base, scene, LIGHTS, samples=64) for scene in (still, moved))
     np.testing.assert_allclose(other[:, :-1], one[:, 1:], rtol=1e-5)
     levels = [level.svbrdf for level in get_method("naive").bake(base, BakeOptions()).levels]
-    one, other = (render_pyramid(levels, scene, LIGHTS) for scene in (still, moved))
+    one, other = (render_appearance(levels, scene, LIGHTS) for scene in (still, moved))
     np.testing.assert_allclose(other[:, :-1], one[:, 1:], rtol=1e-5)
 
 
@@ -248,7 +249,7 @@ def test_trilinear_lookup_agrees_with_a_texture_system(tmp_path, size):
     system = oiio.TextureSystem()
     for level in (0, 0.5, 1.25, 2):
         scene = scenes.plane(size, level, (4, 5), shift=(0.3, 0.4))
-        picture = render_pyramid(levels, scene, one, terms=Terms(lobe=False, fresnel=False))
+        picture = render_appearance(levels, scene, one, terms=Terms(lobe=False, fresnel=False))
         for at in np.ndindex(4, 5):
             s, t = scene.centre[at] / (size[1], size[0])
             # It blends two levels linearly in the width of the filter, we in its logarithm, as hardware does.

@@ -20,7 +20,8 @@ from brdffit.models import get_model
 from brdffit.render import scenes
 from brdffit.render.lights import many
 from brdffit.render.metrics import snr_db_of_halves
-from brdffit.render.reference import render_halves, render_pyramid
+from brdffit.render.pictures import render_appearance
+from brdffit.render.reference import render_halves
 from brdffit.svbrdf import Svbrdf
 
 SIZE = (32, 32)
@@ -198,7 +199,7 @@ def test_rendered_pictures_gain_between_texels(base, pyramid, refined, level):
         scene = scenes.plane(SIZE, level, (16, 16), shift=shift)
         halves = render_halves(base, scene, many(24), samples=1024, threads=1).halves
         before, after = (
-            snr_db_of_halves(render_pyramid(which, scene, many(24)), halves) for which in (pyramid, refined)
+            snr_db_of_halves(render_appearance(which, scene, many(24)), halves) for which in (pyramid, refined)
         )
         gains.append(after - before)
     assert gains[2] > -RENDERED and np.mean(gains[1:]) > 0.0

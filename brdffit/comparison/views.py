@@ -15,7 +15,8 @@ from brdffit.comparison.ask import ENVIRONMENT, LIGHTINGS, SMALL_LIGHTS
 from brdffit.render import metrics, scenes
 from brdffit.render.environment import Environment
 from brdffit.render.lights import Lights
-from brdffit.render.reference import Reference, render_halves, render_pyramid
+from brdffit.render.pictures import render_appearance
+from brdffit.render.reference import Reference, render_halves
 from brdffit.render.scenes import Scene
 from brdffit.render.terms import Terms
 from brdffit.report.records import Figures, Shot, View, capped
@@ -75,7 +76,7 @@ class Studio:
 
     def method(self, levels: Sequence[Svbrdf], scene: Scene, lit: str) -> NDArray:
         """(h, w, 3) linear radiance."""
-        return render_pyramid(
+        return render_appearance(
             levels,
             scene,
             self._lights(lit),

@@ -13,7 +13,8 @@ from brdffit.fitting.method import NonlinearFit
 from brdffit.methods import BakeOptions
 from brdffit.planning.trial import UNSEEN, Loss
 from brdffit.render.lights import Lights
-from brdffit.render.reference import render_halves, render_pyramid
+from brdffit.render.pictures import render_appearance
+from brdffit.render.reference import render_halves
 from brdffit.render.scenes import plane
 from brdffit.svbrdf import Svbrdf, level_sizes
 
@@ -49,7 +50,7 @@ def try_refinement(
             start = time.process_time()
             pyramid = NonlinearFit().bake(crop, asked)
             took.append((time.process_time() - start) / (options.threads or os.cpu_count() or 1))
-            picture = render_pyramid(pyramid, scene, lights).astype(np.float64)
+            picture = render_appearance(pyramid, scene, lights).astype(np.float64)
             error.append(float(np.sum((picture - truth[0]) * (picture - truth[1]))))
         square = max(float(np.sum(truth[0] * truth[1])), 1e-30)
         with_it, without = (max(each / square, 0.0) + UNSEEN for each in error)

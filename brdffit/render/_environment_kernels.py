@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from brdffit._jit import inline, kernel, types
+from brdffit.models.microfacet import fifth_power, reflect
 from brdffit.render._kernels import (
     AMPLITUDE,
     BLOCK,
@@ -26,11 +27,9 @@ from brdffit.render._kernels import (
     SHAPE,
     SPECULAR,
     TENSOR,
-    fifth_power,
     fill_block,
     hash_bits,
     make_scratch,
-    reflect,
     sample_pyramid,
 )
 
@@ -262,8 +261,12 @@ def environment_reference_rows(packed, level, roughness_kind, has_shape, tile, f
 
 @kernel
 def environment_pyramid_rows(packed, levels, tile, centre, base_size, detail, pixel_keys, view, frame, table, picture,
-                             harmonics, count, out, log_normalisation, shade_lobe, shade_diffuse):  # fmt: skip
-    """As ``pyramid_rows``, lit by surroundings: each pixel's lobe under ``count`` blocks of directions of each kind."""
+                             harmonics, count, first_part, out, log_normalisation, shade_lobe,
+                             shade_diffuse):  # fmt: skip
+    """As ``pyramid_rows``, lit by surroundings: each pixel's lobe under ``count`` blocks of directions of each kind.
+
+    Two calls whose blocks ``first_part`` ... ``first_part + count - 1`` do not overlap are independent.
+    """
     single, scratch = np.empty((BLOCK_ROWS, 1), np.float32), make_scratch(1)
     block = np.empty((BLOCK_ROWS, BLOCK), np.float32)
     directions = np.empty((DIRECTION_ROWS, BLOCK), np.float32)
@@ -275,6 +278,6 @@ def environment_pyramid_rows(packed, levels, tile, centre, base_size, detail, pi
             block[row, :] = single[row, 0] * real(share) if weighted else single[row, 0]
         for part in range(count):
             light_from_all_around(
-                block, BLOCK, view[p], frame[p], table, picture, harmonics, pixel_keys[p], part, directions, out[p],
-                shade_lobe, shade_diffuse,
+                block, BLOCK, view[p], frame[p], table, picture, harmonics, pixel_keys[p], first_part + part,
+                directions, out[p], shade_lobe, shade_diffuse,
             )  # fmt: skip

@@ -1,7 +1,7 @@
 """Compiled loops of the renderer: one shading loop, specialised for lobe and terms, under drivers compiled once.
 
-Physics and sources as in ``shading.py``. Samples of one footprint stand side by side in a block, one row a quantity, so
-that the loop over them vectorises; lights and pixels that share a footprint come round it.
+Physics and sources as in ``models/microfacet.py``. Samples of one footprint stand side by side in a block, one row a
+quantity, so that the loop over them vectorises; lights and pixels that share a footprint come round it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from brdffit._jit import inline, kernel, types
 from brdffit.halfangle.frame import eigen_log
-from brdffit.models.ggx import profile  # bound anew for other models
+from brdffit.models.microfacet import LEAST_REFLECTANCE, fifth_power, reflect
 
 real = np.float32
 
@@ -39,9 +39,6 @@ PACKED = 16
 # How ROUGHNESS is stored: perceptual in its first channel, (a, b, c) of the log tensor, or (XX, YY, XY) in alpha^2.
 PERCEPTUAL, LOG_TENSOR, PLAIN_TENSOR = 0, 1, 2
 
-_LEAST_COSINE = 1e-4
-_LEAST_REFLECTANCE = 0.02
-
 #: What shades: (block, count, view, light, sums); view and light are unit vectors (3,), sums (3,) is added to.
 shade_type = types.FunctionType(
     types.void(types.float32[:, ::1], types.int64, types.float64[::1], types.float64[::1], types.float64[::1])
@@ -49,58 +46,11 @@ shade_type = types.FunctionType(
 log_normalisation_type = types.FunctionType(types.UniTuple(types.float64, 2)(types.float64))
 
 
-@inline
-def fifth_power(cosine):
-    """Schlick's weight (1 - cosine)^5."""
-    m = min(max(real(1.0) - cosine, real(0.0)), real(1.0))
-    m2 = m * m
-    return m2 * m2 * m
-
-
-@inline
-def reflect(x, y, z, i_xx, i_yy, i_xy, t_xx, t_yy, t_xy, amplitude, shape, h_x, h_y, h_z, l_x, l_y, l_z, v_x, v_y, v_z):
-    """(lobe, cosine): what a lobe reflects but for colour and Fresnel, and n.l; of a normal, its tensor and directions.
-
-    Both are 0 where light or viewer is below the texel's horizon, with the terms that know of a horizon.
-    """
-    per = real(1.0) / max(real(1.0) + z, real(1e-6))
-    n_l = l_x * x + l_y * y + l_z * z
-    n_v = v_x * x + v_y * y + v_z * z
-    cosine = real(1.0)
-    if COSINE:
-        cosine = n_l
-    if MASKING or COSINE:
-        cosine = cosine if min(n_l, n_v) > real(0.0) else real(0.0)
-    lobe = real(0.0)
-    if LOBE:
-        # Vectors in the frame of the normal, see shading.into_frame.
-        along = h_x * x + h_y * y
-        k = along * per + h_z
-        a, b, c = h_x - k * x, h_y - k * y, along + h_z * z
-        q = max(a * (i_xx * a + real(2.0) * i_xy * b) + i_yy * b * b, real(0.0))
-        lobe = amplitude * cosine * profile(q, min(c * c, real(1.0)), shape)
-        if not (MASKING or COSINE):
-            # Lobes end at their own horizon.
-            lobe = lobe if c > real(0.0) else real(0.0)
-        if MASKING:
-            k = (v_x * x + v_y * y) * per + v_z
-            a, b = v_x - k * x, v_y - k * y
-            of_view = a * (t_xx * a + real(2.0) * t_xy * b) + t_yy * b * b
-            k = (l_x * x + l_y * y) * per + l_z
-            a, b = l_x - k * x, l_y - k * y
-            of_light = a * (t_xx * a + real(2.0) * t_xy * b) + t_yy * b * b
-            u_l, u_v = max(n_l, real(_LEAST_COSINE)), max(n_v, real(_LEAST_COSINE))
-            lobe *= real(0.5) / (
-                u_l * np.sqrt(u_v * u_v + max(of_view, real(0.0))) + u_v * np.sqrt(u_l * u_l + max(of_light, real(0.0)))
-            )
-    return lobe, cosine
-
-
 @kernel
 def shade_block(block, count, view, light, sums):
     """Add to ``sums`` (3,) what the first ``count`` samples of a block send to ``view`` from a light of irradiance 1.
 
-    Lobe x masking x Fresnel x cosine + diffuse x Fresnel's rest x cosine, see ``shading.brdf``.
+    Lobe x masking x Fresnel x cosine + diffuse x Fresnel's rest x cosine, see ``models.microfacet``.
     """
     v_x, v_y, v_z = real(view[0]), real(view[1]), real(view[2])
     l_x, l_y, l_z = real(light[0]), real(light[1]), real(light[2])
@@ -207,7 +157,7 @@ def place_samples(texels, count, roughness_kind, weight, normalisation, block):
         block[NORMAL + 2, i] = z * per if some else real(1.0)
         block[SHAPE, i] = texels[i, P_SHAPE]
         r, g, b, w = texels[i, P_SPECULAR], texels[i, P_SPECULAR + 1], texels[i, P_SPECULAR + 2], real(weight[i])
-        rim = min(max(r, max(g, b)) * real(1.0 / _LEAST_REFLECTANCE), real(1.0))
+        rim = min(max(r, max(g, b)) * real(1.0 / LEAST_REFLECTANCE), real(1.0))
         block[RIM, i] = rim
         block[RIM_WEIGHT, i] = w * rim
         block[SPECULAR, i], block[SPECULAR + 1, i], block[SPECULAR + 2, i] = w * r, w * g, w * b

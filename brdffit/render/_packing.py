@@ -162,5 +162,5 @@ def environment_pyramid_loop() -> Any:
     """``environment_pyramid_rows``."""
     return _driver(
         _environment_kernels.environment_pyramid_rows, _TEXELS, _LEVEL[None], False, _IMAGE, _LINE, _LINE, _INDEX,
-        _IMAGE, _IMAGE[None], *_SURROUNDINGS, 0, _IMAGE, functions=_AROUND,
+        _IMAGE, _IMAGE[None], *_SURROUNDINGS, 0, 0, _IMAGE, functions=_AROUND,
     )  # fmt: skip

@@ -93,6 +93,21 @@ class Environment:
         level = np.sqrt(np.maximum(1.0 - y * y, 0.0))
         return np.stack([level * np.sin(azimuth), y, -level * np.cos(azimuth)], -1), np.stack([row, column], -1)
 
+    def turned(self, frame: NDArray) -> NDArray:
+        """Frames (n, 3, 3) as they stand to ``radiance``: turning the surroundings turns the surface the other way."""
+        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        turn = np.array([(cos, 0.0, sin), (0.0, 1.0, 0.0), (-sin, 0.0, cos)])
+        return np.ascontiguousarray(frame @ turn)
+
+    def look_up(self, direction: NDArray) -> tuple[NDArray, NDArray]:
+        """Radiance (n, 3) and ``density`` (n,) in some directions (n, 3), without ``rotation``."""
+        height, width = self.radiance.shape[:2]
+        x, y, z = direction.T
+        row = np.int64((0.5 - np.arctan2(y, np.hypot(x, z)) / math.pi) * height)
+        column = np.int64((0.5 + 0.5 * np.arctan2(x, -z) / math.pi) * width)
+        row, column = np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
+        return self.radiance[row, column], self.density[row, column]
+
     @cached_property
     def table(self) -> NDArray:
         """What the compiled loops draw from, (TABLE_ROWS, n) float32: see ``_environment_kernels``."""

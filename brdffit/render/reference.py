@@ -15,18 +15,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
 from brdffit.footprint import PixelFilter, get_pixel_filter
-from brdffit.methods import Pyramid, one_of
-from brdffit.render import lights as light_sets
+from brdffit.methods import one_of
 from brdffit.render._footprints import (
-    PIXELS_PER_PIECE,
     Budget,
     Progress,
     Rule,
@@ -39,23 +37,19 @@ from brdffit.render._footprints import (
 )
 from brdffit.render._packing import (
     Packed,
-    environment_kernels,
-    environment_pyramid_loop,
     environment_reference_loop,
     pack_base,
-    pack_levels,
-    pyramid_loop,
     reference_loop,
-    shading_kernels,
 )
 from brdffit.render.environment import Environment
+from brdffit.render.lighting import Lighting, Pixels, lightings
 from brdffit.render.lights import Lights
 from brdffit.render.pairs import pair_errors
-from brdffit.render.scenes import Scene, level_of_detail
+from brdffit.render.scenes import Scene
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
 
-__all__ = ["SAMPLES", "Progress", "Reference", "pair_errors", "render_halves", "render_pyramid", "render_reference"]
+__all__ = ["SAMPLES", "Progress", "Reference", "pair_errors", "render_halves", "render_reference"]
 
 
 class Samples(NamedTuple):
@@ -83,8 +77,8 @@ SAMPLES = {
 _FILL_COST, _ENVIRONMENT_COST = 16.0, 6.0
 _PILOT_PIXELS = 768
 
-#: Under an environment: samples of a footprint at least, and blocks of directions of either kind for one lobe.
-_LEAST_DIRECTIONS, _PYRAMID_BLOCKS = 1024, 1
+#: Under an environment: samples of a footprint at least.
+_LEAST_DIRECTIONS = 1024
 
 
 class Reference(NamedTuple):
@@ -161,7 +155,7 @@ def render_halves(
     """
     _check(base, scene.base_size)
     chosen, packed = get_pixel_filter(pixel_filter), pack_base(base)
-    passes = _lightings(lights, environment, base.model, terms, reference_loop, environment_reference_loop)
+    passes = lightings(lights, environment, base.model, terms, reference_loop, environment_reference_loop)
     least = _LEAST_DIRECTIONS if environment is not None else 1
     if isinstance(samples, int):
         budget = Budget.of(max(samples, least))
@@ -177,11 +171,11 @@ def render_halves(
 
 
 def _average(
-    packed: Packed, scene: Scene, passes: Sequence[_Lighting], pixel_filter: PixelFilter, budget: Budget,
+    packed: Packed, scene: Scene, passes: Sequence[Lighting], pixel_filter: PixelFilter, budget: Budget,
     threads: int | None, progress: Progress | None,
 ) -> Reference:  # fmt: skip
     """Both halves of a picture, with so many samples a footprint."""
-    pixels = _Pixels(scene)
+    pixels = Pixels(scene)
     footprints = group_footprints(pixels.centre, pixels.axes, scene.base_size, packed.tile)
     of = footprints.order
     view, frame, keys = pixels.view[of], pixels.frame[of], pixels.key[of]
@@ -212,7 +206,7 @@ def _average(
 
 def _cost(scene: Scene, tile: bool, budget: Budget, around: bool) -> float:
     """What a picture costs with this budget, in samples shaded; ``around``: under an environment."""
-    pixels = _Pixels(scene)
+    pixels = Pixels(scene)
     footprints = group_footprints(pixels.centre, pixels.axes, scene.base_size, tile)
     samples = 2.0 * sample_count(footprints.place, budget).prod(axis=1)
     shading = _ENVIRONMENT_COST if around else 1.0
@@ -226,105 +220,6 @@ def _some_pixels(scene: Scene) -> Scene:
     at = np.unravel_index(chosen, scene.pixels)
     arrays = {name: getattr(scene, name)[at][None] for name in ("centre", "axes", "view", "frame", "coverage")}
     return dataclasses.replace(scene, **arrays)
-
-
-def render_pyramid(
-    pyramid: Pyramid | Sequence[Svbrdf],
-    scene: Scene,
-    lights: Lights | None = None,
-    *,
-    environment: Environment | None = None,
-    terms: Terms = Terms(),  # noqa: B008
-    threads: int | None = None,
-) -> NDArray:
-    """The picture of a pyramid, shaded once a pixel: linear radiance (h, w, 3) float32.
-
-    Between texels and levels the channels are interpolated that the EXR files store: the normal (then brought to unit
-    length), the roughness tensor in alpha^2, and linear colours. Levels are chosen by ``scenes.level_of_detail``,
-    clamped to those that the pyramid has. Arguments as in ``render_halves``; ``pyramid`` may be a list of levels.
-
-    Raises:
-        InputError: when the scene was made for a base of another size than level 0.
-    """
-    levels = [level.svbrdf for level in pyramid.levels] if isinstance(pyramid, Pyramid) else list(pyramid)
-    if levels[0].size != tuple(scene.base_size):
-        raise InputError(
-            f"The scene was made for a base of {scene.base_size} texels, but level 0 has {levels[0].size}."
-        )
-    pixels = _Pixels(scene)
-    detail = np.clip(level_of_detail(scene)[pixels.rows, pixels.columns].astype(np.float64), 0.0, len(levels) - 1.0)
-    # Only the levels that are seen are packed.
-    finest, coarsest = math.floor(detail.min(initial=len(levels) - 1.0)), math.ceil(detail.max(initial=0.0))
-    packed = pack_levels(levels[finest : max(coarsest, finest) + 1])
-    detail -= finest
-    base_size = np.array(scene.base_size[::-1], np.float64)
-    found = np.zeros((len(detail), 3))
-    passes = _lightings(lights, environment, packed.model, terms, pyramid_loop, environment_pyramid_loop)
-
-    def work(part: slice) -> int:
-        for lighting in passes:
-            blocks = () if lighting.environment is None else (_PYRAMID_BLOCKS,)
-            lighting.loop(
-                packed.texels, packed.levels, packed.tile, pixels.centre[part], base_size, detail[part],
-                *lighting.pixels(pixels.key[part], pixels.view[part], pixels.frame[part]), *lighting.data, *blocks,
-                found[part], *lighting.kernels,
-            )  # fmt: skip
-        return part.stop - part.start
-
-    step = PIXELS_PER_PIECE
-    jobs = [(slice(i, min(i + step, len(found))),) for i in range(0, len(found), step)]
-    run_in_threads(work, jobs, threads, None, len(found))
-    picture = np.zeros((*scene.pixels, 3), np.float32)
-    picture[pixels.rows, pixels.columns] = found
-    return picture
-
-
-class _Lighting(NamedTuple):
-    """A compiled loop, and what it reads of one kind of light: directional lights, or an environment."""
-
-    loop: Any
-    kernels: tuple[Any, ...]
-    data: tuple[NDArray, ...]
-    environment: Environment | None
-
-    def pixels(self, key: NDArray, view: NDArray, frame: NDArray) -> tuple[NDArray, ...]:
-        """What the loop reads of pixels; an environment is turned by turning the surface the other way."""
-        if self.environment is None:
-            return view, frame
-        angle = self.environment.rotation
-        cos, sin = math.cos(angle), math.sin(angle)
-        turn = np.array([(cos, 0.0, sin), (0.0, 1.0, 0.0), (-sin, 0.0, cos)])
-        return key, view, np.ascontiguousarray(frame @ turn)
-
-
-def _lightings(
-    lights: Lights | None, environment: Environment | None, model: str, terms: Terms,
-    loop: Callable[[], Any], environment_loop: Callable[[], Any],
-) -> list[_Lighting]:  # fmt: skip
-    """What lights a picture: lights, an environment, or both; the few small lights where neither is given."""
-    found = []
-    if lights is None and environment is None:
-        lights = light_sets.few()
-    if lights is not None:
-        data = lights.direction.astype(np.float64), lights.irradiance.astype(np.float64)
-        found.append(_Lighting(loop(), shading_kernels(model, terms), data, None))
-    if environment is not None:
-        harmonics = environment.harmonics(terms.fresnel, terms.cosine, terms.clips)
-        around = environment.table, environment.picture, harmonics
-        found.append(_Lighting(environment_loop(), environment_kernels(model, terms), around, environment))
-    return found
-
-
-class _Pixels:
-    """The covered pixels of a scene, one after another, as the loops want them: contiguous, double precision."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.rows, self.columns = np.nonzero(scene.coverage > 0.0)
-        at = self.rows, self.columns
-        self.key = (self.rows * 65536 + self.columns).astype(np.int64)
-        self.centre, self.axes, self.view, self.frame = (
-            np.ascontiguousarray(array[at], np.float64) for array in (scene.centre, scene.axes, scene.view, scene.frame)
-        )
 
 
 def _check(base: Svbrdf, base_size: tuple[int, int]) -> None:
