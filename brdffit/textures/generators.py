@@ -5,35 +5,14 @@ Lengths are in widths of the texture, so that a set looks alike at every size.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from brdffit.textures.encoding import height_gradient, normals_from_gradient
-
-Color = tuple[float, float, float]
-
-
-@dataclass
-class Maps:
-    """What a generator makes; None where the set has no such map.
-
-    Attributes:
-        color: (H, W, 3) linear.
-        normal: (H, W, 3) unit, OpenGL.
-        roughness: (H, W) perceptual.
-        metallic: (H, W).
-        height: (H, W) in texture widths.
-    """
-
-    color: NDArray
-    normal: NDArray
-    roughness: NDArray
-    metallic: NDArray | None = None
-    height: NDArray | None = None
+from brdffit.textures.facade import GlassPanes
+from brdffit.textures.patterns import Color, Maps, frequencies, noise, periodic, scattered, step, unit_range
 
 
 class BrushedMetal(msgspec.Struct, forbid_unknown_fields=True):
@@ -46,16 +25,16 @@ class BrushedMetal(msgspec.Struct, forbid_unknown_fields=True):
     roughness: float
 
     def make(self, size: int, rng: np.random.Generator) -> Maps:
-        fx, fy = _frequencies(size)
+        fx, fy = frequencies(size)
         streak = np.exp(-0.5 * (fx * self.streak_length) ** 2)
-        fine = _noise(size, rng, streak * np.exp(-0.5 * (fy / 0.16 / size) ** 2) * (fy > 3))
-        broad = _noise(size, rng, streak * ((fy >= 1) & (fy < 12)))
+        fine = noise(size, rng, streak * np.exp(-0.5 * (fy / 0.16 / size) ** 2) * (fy > 3))
+        broad = noise(size, rng, streak * ((fy >= 1) & (fy < 12)))
         height = fine.copy()
         row = (np.arange(size) + 0.5) / size
         for _ in range(self.scratches):
             start, length, centre = rng.random(), rng.uniform(0.1, 0.5), rng.random()
-            along = _periodic(row - start)
-            profile = np.exp(-((_periodic(row - centre) * size / 0.9) ** 2))
+            along = periodic(row - start)
+            profile = np.exp(-((periodic(row - centre) * size / 0.9) ** 2))
             height -= 3.0 * rng.uniform(0.4, 1.0) * np.outer(profile, np.clip(1.0 - np.abs(along) / length, 0.0, 1.0))
         gradient = height_gradient(height, "tile")
         scale = self.slope / float(gradient[:, :, 1].std())
@@ -78,7 +57,7 @@ class HammeredMetal(msgspec.Struct, forbid_unknown_fields=True):
     roughness: tuple[float, float]
 
     def make(self, size: int, rng: np.random.Generator) -> Maps:
-        centres = _scattered(rng, self.dimples)
+        centres = scattered(rng, self.dimples)
         depth = rng.uniform(0.0, 1.4 / self.dimples, self.dimples) * 0.5 * self.curvature
         bend = self.curvature * rng.uniform(0.85, 1.2, self.dimples)
         hue = rng.normal(0.0, 1.0, self.dimples)
@@ -86,7 +65,7 @@ class HammeredMetal(msgspec.Struct, forbid_unknown_fields=True):
         axis = (np.arange(size) + 0.5) / size
         envelope, tint = np.full((size, size), 1e-300), np.zeros((size, size))
         for i, (cx, cy) in enumerate(centres):
-            dx, dy = _periodic(axis - cx), _periodic(axis - cy)
+            dx, dy = periodic(axis - cx), periodic(axis - cy)
             columns, rows = np.flatnonzero(np.abs(dx) < reach), np.flatnonzero(np.abs(dy) < reach)
             square = dy[rows, None] ** 2 + dx[None, columns] ** 2
             weight = np.exp(-(0.5 * bend[i] * square - depth[i]) / self.ridge)
@@ -94,9 +73,9 @@ class HammeredMetal(msgspec.Struct, forbid_unknown_fields=True):
             tint[np.ix_(rows, columns)] += hue[i] * weight
         height = -self.ridge * np.log(envelope)
         tint /= envelope
-        fx, fy = _frequencies(size)
-        grain = _noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 60.0) ** 2))
-        cloud = _noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 5.0) ** 2))
+        fx, fy = frequencies(size)
+        grain = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 60.0) ** 2))
+        cloud = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 5.0) ** 2))
         ridges = unit_range(height) ** 2
         low, high = self.roughness
         shade = 1.0 + 0.03 * tint + 0.04 * cloud - 0.25 * ridges
@@ -127,7 +106,7 @@ class GroovedRecord(msgspec.Struct, forbid_unknown_fields=True):
         radius, angle = np.hypot(x, y), np.arctan2(y, x)
         inner, outer, label, hole = 0.205, 0.465, 0.165, 0.012
         turn = (radius - inner) / (outer - inner) * self.grooves
-        grooved = _step(radius, inner, size) * (1.0 - _step(radius, outer, size))
+        grooved = step(radius, inner, size) * (1.0 - step(radius, outer, size))
         for gap in (0.16, 0.39, 0.55, 0.79):
             band = inner + gap * (outer - inner)
             grooved *= np.clip(np.abs(radius - band) / 0.004 - 0.6, 0.0, 1.0)
@@ -137,11 +116,11 @@ class GroovedRecord(msgspec.Struct, forbid_unknown_fields=True):
         wall = self.slope * loud * grooved * np.cos(2.0 * np.pi * (turn + 0.05 * self.modulation * bend))
         across = 0.12 * self.modulation * self.slope * grooved * np.sin(31 * angle + 2.0 * turn)
         edge = -0.7 * np.exp(-(((radius - 0.482) / 0.004) ** 2)) - 0.25 * np.exp(-(((radius - label) / 0.003) ** 2))
-        felt = _step(radius, 0.484, size)
-        paper = 1.0 - _step(radius, label, size)
-        paper *= _step(radius, hole, size)
-        fx, fy = _frequencies(size)
-        fibre = _noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / (0.2 * size)) ** 2))
+        felt = step(radius, 0.484, size)
+        paper = 1.0 - step(radius, label, size)
+        paper *= step(radius, hole, size)
+        fx, fy = frequencies(size)
+        fibre = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / (0.2 * size)) ** 2))
         fibre_gradient = height_gradient(fibre, "clamp")
         fibre_gradient *= (0.16 * felt + 0.02 * paper)[:, :, None] / float(fibre_gradient.std())
         unit_x, unit_y = np.cos(angle), np.sin(angle)
@@ -190,10 +169,10 @@ class GlossyTiles(msgspec.Struct, forbid_unknown_fields=True):
         profile = np.sqrt(np.clip(1.0 - (1.0 - rise) ** 2, 0.0, 1.0))
         tilt_x, tilt_y = rng.normal(0.0, self.tilt, (2, down, across))
         shade, lift = rng.normal(0.0, 1.0, (2, down, across))
-        fx, fy = _frequencies(size)
-        sand = _noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / (0.18 * size)) ** 2))
-        wave = _noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 9.0) ** 2))
-        speck = _noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 40.0) ** 2))
+        fx, fy = frequencies(size)
+        sand = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / (0.18 * size)) ** 2))
+        wave = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 9.0) ** 2))
+        speck = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 40.0) ** 2))
         wave_gradient = height_gradient(wave, "tile") * size
         plane = x * tilt_x[row, column] + y * tilt_y[row, column] + 0.0004 * lift[row, column]
         height = profile * (self.depth + plane + self.ripple / float(wave_gradient.std()) * wave)
@@ -222,16 +201,16 @@ class BumpyMirror(msgspec.Struct, forbid_unknown_fields=True):
     roughness: tuple[float, float]
 
     def make(self, size: int, rng: np.random.Generator) -> Maps:
-        fx, fy = _frequencies(size)
+        fx, fy = frequencies(size)
         frequency = np.hypot(fx, fy)
         low, high = self.bumps
-        height = _noise(size, rng, np.exp(-((np.log(np.maximum(frequency, 0.5) / np.sqrt(low * high)) / 0.6) ** 2)))
+        height = noise(size, rng, np.exp(-((np.log(np.maximum(frequency, 0.5) / np.sqrt(low * high)) / 0.6) ** 2)))
         # Few and round rather than a random sea: the highest bumps stand out of a flatter ground.
         height = np.log1p(np.exp(1.8 * height)) / 1.8
         gradient = height_gradient(height, "tile") * size
         scale = self.slope / float(gradient.std())
-        cloud = _noise(size, rng, np.exp(-0.5 * (frequency / 4.0) ** 2))
-        wipe = _noise(size, rng, np.exp(-0.5 * ((fx + fy) / 5.0) ** 2 - 0.5 * ((fx - fy) / 60.0) ** 2))
+        cloud = noise(size, rng, np.exp(-0.5 * (frequency / 4.0) ** 2))
+        wipe = noise(size, rng, np.exp(-0.5 * ((fx + fy) / 5.0) ** 2 - 0.5 * ((fx - fy) / 60.0) ** 2))
         smudge = np.clip(0.5 * cloud + 0.2 * wipe - 0.15, 0.0, 1.0)
         clean, smudged = self.roughness
         color = np.array(self.color) * (1.0 - 0.05 * smudge)[:, :, None]
@@ -256,18 +235,18 @@ class FractalRelief(msgspec.Struct, forbid_unknown_fields=True):
     roughness: tuple[float, float]
 
     def make(self, size: int, rng: np.random.Generator) -> Maps:
-        fx, fy = _frequencies(size)
+        fx, fy = frequencies(size)
         cycles = np.hypot(fx, fy)
         low, high = self.cycles
         band = np.maximum(cycles, low) ** -self.falloff * (1.0 - np.exp(-((cycles / low) ** 4)))
         band *= np.exp(-0.5 * (cycles / high) ** 2)
-        height = _noise(size, rng, band)
+        height = noise(size, rng, band)
         # A fold along the zeros of another noise, rounded, is a ridge.
-        fold = -np.sqrt(np.square(_noise(size, rng, band * np.exp(-0.5 * (cycles / (4.0 * low)) ** 2))) + 0.01)
+        fold = -np.sqrt(np.square(noise(size, rng, band * np.exp(-0.5 * (cycles / (4.0 * low)) ** 2))) + 0.01)
         height += self.ridges * (fold - fold.mean()) / fold.std()
         gradient = height_gradient(height, "tile") * size
         scale = self.slope / float(gradient.std())
-        cloud = _noise(size, rng, np.exp(-0.5 * (cycles / (3.0 * low)) ** 2))
+        cloud = noise(size, rng, np.exp(-0.5 * (cycles / (3.0 * low)) ** 2))
         place = np.clip(0.5 + 0.25 * (height / height.std() * (1.0 - self.patches) + self.patches * cloud), 0.0, 1.0)
         stops = np.linspace(0.0, 1.0, len(self.colors))
         rough, smooth = self.roughness[1], self.roughness[0]
@@ -286,43 +265,5 @@ GENERATORS: dict[str, Any] = {
     "glossy_tiles": GlossyTiles,
     "bumpy_mirror": BumpyMirror,
     "fractal_relief": FractalRelief,
+    "glass_panes": GlassPanes,
 }
-
-
-def _frequencies(size: int) -> tuple[NDArray, NDArray]:
-    """|cycles| across and down of the half spectrum, (size, size // 2 + 1); across carries its sign in neither."""
-    fx, fy = np.meshgrid(np.fft.rfftfreq(size, 1.0 / size), np.abs(np.fft.fftfreq(size, 1.0 / size)))
-    return fx, fy
-
-
-def _noise(size: int, rng: np.random.Generator, spectrum: NDArray) -> NDArray:
-    """Tileable noise of mean 0 and variance 1 with this amplitude spectrum."""
-    transform = np.fft.rfft2(rng.standard_normal((size, size))) * spectrum
-    transform[0, 0] = 0.0
-    noise = np.fft.irfft2(transform, (size, size))
-    return noise / noise.std()
-
-
-def _periodic(offset: NDArray) -> NDArray:
-    """The nearest image of an offset on the unit circle, in [-0.5, 0.5)."""
-    return (offset + 0.5) % 1.0 - 0.5
-
-
-def _scattered(rng: np.random.Generator, count: int) -> NDArray:
-    """Points on the unit torus, no two very close (the best of a few candidates each)."""
-    points = rng.random((1, 2))
-    while len(points) < count:
-        candidates = rng.random((6, 2))
-        offsets = _periodic(candidates[:, None, :] - points[None, :, :])
-        nearest = np.square(offsets).sum(axis=2).min(axis=1)
-        points = np.concatenate([points, candidates[nearest.argmax()][None]])
-    return points
-
-
-def _step(radius: NDArray, edge: float, size: int) -> NDArray:
-    """0 inside, 1 outside, one texel wide."""
-    return np.clip((radius - edge) * size + 0.5, 0.0, 1.0)
-
-
-def unit_range(array: NDArray) -> NDArray:
-    return (array - array.min()) / max(float(np.ptp(array)), 1e-12)

@@ -25,7 +25,7 @@ _CHECKOUT = Path(__file__).resolve().parents[2] / "data"
 RECIPES = _CHECKOUT if (_CHECKOUT / "hammered-metal.toml").is_file() else Path(sys.prefix, "share", "brdffit")
 #: Names of the shipped sets.
 SETS = (
-    "brushed-metal", "bumpy-mirror", "glossy-tiles", "grooved-record", "hammered-metal", "plaster-wall",
+    "brushed-metal", "bumpy-mirror", "glass-panes", "glossy-tiles", "grooved-record", "hammered-metal", "plaster-wall",
     "rocky-terrain",
 )  # fmt: skip
 

@@ -94,6 +94,12 @@ def test_each_set_is_what_it_is_for(made) -> None:
     elif name == "glossy-tiles":
         # Dark glaze is smooth, pale grout is rough.
         assert np.corrcoef(svbrdf.diffuse.mean(2).ravel(), roughness.ravel())[0, 1] > 0.9
+    elif name == "glass-panes":
+        # At least four fifths at the floor; bevels far steeper than panes; dust and frames beside them.
+        assert 0.75 < np.mean(roughness < 0.0451) < 0.9
+        assert roughness.max() > 0.5
+        flat = np.hypot(slope[..., 0], slope[..., 1])
+        assert 0.05 < np.mean(flat > 0.15) < 0.3 and np.median(flat) < 0.03
     elif name == "plaster-wall":
         assert not np.ptp(svbrdf.diffuse, axis=(0, 1)).any() and svbrdf.specular.max() < 0.05
         assert roughness.min() > 0.8

@@ -1,0 +1,69 @@
+"""What generators of procedural sets are made of: their maps, and tileable noise, scatter and steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Color = tuple[float, float, float]
+
+
+@dataclass
+class Maps:
+    """What a generator makes; None where the set has no such map.
+
+    Attributes:
+        color: (H, W, 3) linear.
+        normal: (H, W, 3) unit, OpenGL.
+        roughness: (H, W) perceptual.
+        metallic: (H, W).
+        height: (H, W) in texture widths.
+    """
+
+    color: NDArray
+    normal: NDArray
+    roughness: NDArray
+    metallic: NDArray | None = None
+    height: NDArray | None = None
+
+
+def frequencies(size: int) -> tuple[NDArray, NDArray]:
+    """|cycles| across and down of the half spectrum, (size, size // 2 + 1); across carries its sign in neither."""
+    fx, fy = np.meshgrid(np.fft.rfftfreq(size, 1.0 / size), np.abs(np.fft.fftfreq(size, 1.0 / size)))
+    return fx, fy
+
+
+def noise(size: int, rng: np.random.Generator, spectrum: NDArray) -> NDArray:
+    """Tileable noise of mean 0 and variance 1 with this amplitude spectrum."""
+    transform = np.fft.rfft2(rng.standard_normal((size, size))) * spectrum
+    transform[0, 0] = 0.0
+    field = np.fft.irfft2(transform, (size, size))
+    return field / field.std()
+
+
+def periodic(offset: NDArray) -> NDArray:
+    """The nearest image of an offset on the unit circle, in [-0.5, 0.5)."""
+    return (offset + 0.5) % 1.0 - 0.5
+
+
+def scattered(rng: np.random.Generator, count: int) -> NDArray:
+    """Points on the unit torus, no two very close (the best of a few candidates each)."""
+    points = rng.random((1, 2))
+    while len(points) < count:
+        candidates = rng.random((6, 2))
+        offsets = periodic(candidates[:, None, :] - points[None, :, :])
+        nearest = np.square(offsets).sum(axis=2).min(axis=1)
+        points = np.concatenate([points, candidates[nearest.argmax()][None]])
+    return points
+
+
+def step(radius: NDArray, edge: float, size: int) -> NDArray:
+    """0 inside, 1 outside, one texel wide."""
+    return np.clip((radius - edge) * size + 0.5, 0.0, 1.0)
+
+
+def unit_range(array: NDArray) -> NDArray:
+    """``array`` scaled and moved to [0, 1]."""
+    return (array - array.min()) / max(float(np.ptp(array)), 1e-12)
