@@ -8,7 +8,8 @@ import pytest
 from brdffit.appearance import Appearance, LobePyramid, Lookups, bilinear, trilinear
 from brdffit.errors import InputError
 from brdffit.render import scenes
-from brdffit.render.pictures import render_appearance
+from brdffit.render.environment import procedural_environment
+from brdffit.render.pictures import render_appearance, render_appearance_halves
 from brdffit.render.terms import LOBE_ONLY
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
@@ -94,3 +95,14 @@ def test_images_are_read_between_texels_and_levels():
     detail = np.array([-3.0, 0.25, 1.0, 9.0])
     lookups = Lookups(np.zeros((4, 2)), np.zeros((4, 2, 2)), detail, np.zeros((4, 3)))
     np.testing.assert_allclose(trilinear(levels, lookups, (4, 4), "tile")[:, 0], [2.0, 3.0, 6.0, 6.0])
+
+
+def test_the_path_in_numpy_draws_an_environment_as_the_compiled_loops_do():
+    pyramid = LobePyramid(some_levels())
+    scene, studio = scenes.sphere((16, 16), 1, (48, 48)), procedural_environment(64).rotated(0.7)
+    compiled, plain = (render_appearance_halves(each, scene, environment=studio) for each in (pyramid, hidden(pyramid)))
+    # The noise of either is independent of the other's: the product of the differences has the mean of their square.
+    error = np.sum((plain[0] - compiled[0]) * (plain[1] - compiled[1]), dtype=np.float64)
+    power = np.sum(compiled[0] * compiled[1], dtype=np.float64)
+    assert error / power < 1e-3
+    np.testing.assert_allclose(plain.sum(axis=(0, 1, 2)), compiled.sum(axis=(0, 1, 2)), rtol=0.02)

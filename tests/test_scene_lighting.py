@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from brdffit.colour import LUMINANCE
 from brdffit.errors import InputError
 from brdffit.planning.description import PROCEDURAL, Camera, Light, SceneFile, Surface
 from brdffit.planning.lighting import directions
 from brdffit.planning.reach import GRAZING
 from brdffit.render.environment import procedural_environment
-from brdffit.render.metrics import LUMINANCE
 from brdffit.render.pairs import _directions, pair_errors
 from brdffit.render.terms import LOBE_ONLY
 from brdffit.svbrdf import Svbrdf

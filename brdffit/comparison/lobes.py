@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.colour import LUMINANCE
 from brdffit.fitting.batch import model_kernels
 from brdffit.halfangle.apparent_lobe import base_of, gather_lobes, normalise_mixture
 from brdffit.halfangle.closed_forms import widen_lobes
@@ -29,7 +30,6 @@ from brdffit.halfangle.quadrature import (
     frame_lobes,
 )
 from brdffit.models import Model, get_model
-from brdffit.render.metrics import LUMINANCE
 from brdffit.report.records import LobeView, capped, pack
 from brdffit.roughness import tensor_from_log
 from brdffit.svbrdf import Svbrdf

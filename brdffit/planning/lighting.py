@@ -12,13 +12,13 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.colour import LUMINANCE
 from brdffit.comparison.surroundings import read_environment
 from brdffit.errors import InputError
 from brdffit.planning.description import PROCEDURAL, Light, SceneFile, Surface
 from brdffit.planning.reach import GRAZING, shown_turn
 from brdffit.render.environment import Environment
 from brdffit.render.lights import Lights
-from brdffit.render.metrics import LUMINANCE
 from brdffit.render.shading import into_frame
 
 #: Different directions of an environment that are drawn from: as many as a map of 256 x 128 has pixels.

@@ -1,9 +1,11 @@
-"""Compiled loops of environment lighting: lobe and surroundings are sampled together (Veach and Guibas 1995).
+"""Compiled loops of light that has a size, an environment or lamps: lobe and light are sampled together.
 
-Each sample of a footprint is paired with two directions, one drawn from the surroundings (density p_e) and one from the
-lobe (density p_l = D(h) (n.h) / (4 v.h)), and each counts f L / (p_e + p_l), the balance heuristic. The lobe that is
-drawn from is GGX for every model: its tails are the longest. The diffuse part needs no directions: its integral over
-the surroundings is a smooth function of the normal, taken from nine spherical harmonics.
+Each sample of a footprint is paired with two directions, one drawn from the light (density p_e) and one from the lobe
+(density p_l = D(h) (n.h) / (4 v.h)), and each counts f L / (p_e + p_l), the balance heuristic (Veach and Guibas 1995).
+The lobe that is drawn from is GGX for every model: its tails are the longest. Directions below the plane of the texture
+carry no light, as with directional lights and in the half-angle density. The diffuse part needs no directions: its
+integral over an environment is a smooth function of the normal, taken from nine spherical harmonics, and lamps light it
+from their middle.
 """
 
 from __future__ import annotations
@@ -50,16 +52,20 @@ TABLE_ROWS = 9
 TO_X, TO_Y, TO_Z, RED, GREEN, BLUE, CHANCE = range(7)
 DIRECTION_ROWS = 7
 
-#: What shades: (block, count, view, directions, sums), and (block, count, view, frame, harmonics, sums) for diffuse.
+#: What shades: (block, count, view, directions, sums), and (block, count, view, frame, harmonics, which, sums) for
+#: diffuse; and what fills in the light of directions: (directions, count, frame, light).
 shade_directions_type = types.FunctionType(
     types.void(types.float32[:, ::1], types.int64, types.float64[::1], types.float32[:, ::1], types.float64[::1])
 )
 shade_matt_type = types.FunctionType(
     types.void(
-        types.float32[:, ::1], types.int64, types.float64[::1], types.float64[:, ::1], types.float32[:, :, ::1],
-        types.float64[::1],
+        types.float32[:, ::1], types.int64, types.float64[::1], types.float64[:, ::1], types.float32[:, :, :, ::1],
+        types.int64, types.float64[::1],
     )
 )  # fmt: skip
+look_around_type = types.FunctionType(
+    types.void(types.float32[:, ::1], types.int64, types.float64[:, ::1], types.float32[:, :, ::1])
+)
 
 
 @kernel
@@ -96,7 +102,7 @@ def shade_directions(block, count, view, directions, sums):
         # v.h is |l + v| / 2.
         v_h = max(real(0.5) * square * per, real(1e-6))
         drawn = density[i] * max(n_h, real(0.0)) / (q * q * real(4.0) * v_h)
-        lobe /= max(chance[i] + drawn, real(1e-20))
+        lobe = lobe / max(chance[i] + drawn, real(1e-20)) if l_z > real(0.0) else real(0.0)
         if FRESNEL:
             grazing = lobe * fifth_power(v_h)
             lobe -= grazing * rim[i]
@@ -120,8 +126,8 @@ def harmonic(c, k, x, y, z):
 
 
 @kernel
-def shade_matt(block, count, view, frame, harmonics, sums):
-    """Add to ``sums`` (3,) the diffuse part of ``count`` samples under the surroundings, of ``harmonics`` (2, 9, 3).
+def shade_matt(block, count, view, frame, harmonics, which, sums):
+    """Add to ``sums`` (3,) the diffuse part of ``count`` samples under the surroundings, of ``harmonics`` (K, 2, 9, 3).
 
     diffuse (1 - specular) (1 - w(n.v)) (E - E_w): E is the irradiance over pi, and E_w the same weighted with Schlick's
     w(n.l).
@@ -130,7 +136,7 @@ def shade_matt(block, count, view, frame, harmonics, sums):
         return
     v_x, v_y, v_z = real(view[0]), real(view[1]), real(view[2])
     n_x, n_y, n_z, rim = block[NORMAL], block[NORMAL + 1], block[NORMAL + 2], block[RIM]
-    e, e_w = harmonics[0], harmonics[1]
+    e, e_w = harmonics[which, 0], harmonics[which, 1]
     f00, f01, f02 = real(frame[0, 0]), real(frame[0, 1]), real(frame[0, 2])
     f10, f11, f12 = real(frame[1, 0]), real(frame[1, 1]), real(frame[1, 2])
     f20, f21, f22 = real(frame[2, 0]), real(frame[2, 1]), real(frame[2, 2])
@@ -185,13 +191,12 @@ def directions_of_lights(table, first, count, frame, directions):
 
 
 @kernel
-def directions_of_lobes(block, table, first, count, view, frame, picture, directions):
-    """Fill ``directions`` with one direction drawn from each lobe; ``picture`` (H, W, 4) holds radiance and p_e.
+def directions_of_lobes(block, table, first, count, view, directions):
+    """Fill ``directions`` with one direction drawn from each lobe, but for its light.
 
     Slopes are L (r cos f, r sin f) with L L' = Sigma, r^2 = u / (1 - u); h along (slope, 1) in the frame of n.
     """
     v_x, v_y, v_z = real(view[0]), real(view[1]), real(view[2])
-    height, width = picture.shape[0], picture.shape[1]
     for i in range(count):
         x, y, z = block[NORMAL, i], block[NORMAL + 1, i], block[NORMAL + 2, i]
         xx, xy = block[TENSOR, i], block[TENSOR + 2, i]
@@ -208,6 +213,12 @@ def directions_of_lobes(block, table, first, count, view, frame, picture, direct
         directions[TO_X, i] = twice * h_x - v_x
         directions[TO_Y, i] = twice * h_y - v_y
         directions[TO_Z, i] = twice * h_z - v_z
+
+
+@kernel
+def light_of_picture(directions, count, frame, picture):
+    """Fill in the light of directions from an equirectangular ``picture`` (H, W, 4): radiance and p_e."""
+    height, width = picture.shape[0], picture.shape[1]
     for i in range(count):
         x, y, z = directions[TO_X, i], directions[TO_Y, i], directions[TO_Z, i]
         w_x = real(frame[0, 0]) * x + real(frame[1, 0]) * y + real(frame[2, 0]) * z
@@ -224,24 +235,54 @@ def directions_of_lobes(block, table, first, count, view, frame, picture, direct
 
 
 @kernel
-def light_from_all_around(block, count, view, frame, table, picture, harmonics, key, part, directions, out,
-                          shade_lobe, shade_diffuse):  # fmt: skip
-    """Add to ``out`` (3,) what ``count`` samples reflect of the surroundings; ``key`` and ``part`` choose where."""
+def light_of_lamps(directions, count, frame, lamps):
+    """Fill in the light of directions from ``lamps`` (n, 2, 4): middle and squared chord of its radius; radiance, p_e.
+
+    A direction d lies in the disc of angular radius r about c where |d - c| < 2 sin(r / 2); that is precise for small
+    discs, where cosines are all 1.
+    """
+    for k in range(RED, DIRECTION_ROWS):
+        for i in range(count):
+            directions[k, i] = real(0.0)
+    for n in range(lamps.shape[0]):
+        c_x, c_y, c_z = lamps[n, 0, 0], lamps[n, 0, 1], lamps[n, 0, 2]
+        x = real(frame[0, 0]) * c_x + real(frame[0, 1]) * c_y + real(frame[0, 2]) * c_z
+        y = real(frame[1, 0]) * c_x + real(frame[1, 1]) * c_y + real(frame[1, 2]) * c_z
+        z = real(frame[2, 0]) * c_x + real(frame[2, 1]) * c_y + real(frame[2, 2]) * c_z
+        most = lamps[n, 0, 3]
+        red, green, blue, chance = lamps[n, 1, 0], lamps[n, 1, 1], lamps[n, 1, 2], lamps[n, 1, 3]
+        for i in range(count):
+            d_x, d_y, d_z = directions[TO_X, i] - x, directions[TO_Y, i] - y, directions[TO_Z, i] - z
+            inside = real(1.0) if d_x * d_x + d_y * d_y + d_z * d_z < most else real(0.0)
+            directions[RED, i] += inside * red
+            directions[GREEN, i] += inside * green
+            directions[BLUE, i] += inside * blue
+            directions[CHANCE, i] += inside * chance
+
+
+@kernel
+def light_from_all_around(block, count, view, frame, table, light, harmonics, which, key, part, directions, out,
+                          shade_lobe, shade_diffuse, look_around):  # fmt: skip
+    """Add to ``out`` (3,) what ``count`` samples reflect of the light; ``key`` and ``part`` choose where."""
     room = table.shape[1] - BLOCK
     first = int(hash_bits(key, part, 17, 1)) % room
     directions_of_lights(table, first, count, frame, directions)
     shade_lobe(block, count, view, directions, out)
     first = int(hash_bits(key, part, 29, 2)) % room
-    directions_of_lobes(block, table, first, count, view, frame, picture, directions)
+    directions_of_lobes(block, table, first, count, view, directions)
+    look_around(directions, count, frame, light)
     shade_lobe(block, count, view, directions, out)
-    shade_diffuse(block, count, view, frame, harmonics, out)
+    shade_diffuse(block, count, view, frame, harmonics, which, out)
 
 
 @kernel
 def environment_reference_rows(packed, level, roughness_kind, has_shape, tile, footprints, starts, keys, pixel_keys,
-                               view, frame, table, picture, harmonics, strata_x, strata_y, weight_x, weight_y, half,
-                               out, log_normalisation, shade_lobe, shade_diffuse):  # fmt: skip
-    """As ``reference_rows``, lit by surroundings. ``pixel_keys`` (P,) choose each pixel's directions."""
+                               which, view, frame, table, light, harmonics, strata_x, strata_y, weight_x, weight_y,
+                               half, out, log_normalisation, shade_lobe, shade_diffuse, look_around):  # fmt: skip
+    """As ``reference_rows``, lit by what has a size.
+
+    ``pixel_keys`` (P,) choose each pixel's directions, ``which`` (P,) its harmonics; for ``light`` see ``look_around``.
+    """
     block, scratch = np.empty((BLOCK_ROWS, BLOCK), np.float32), make_scratch(BLOCK)
     directions = np.empty((DIRECTION_ROWS, BLOCK), np.float32)
     samples = (strata_x.size - 1) * (strata_y.size - 1)
@@ -254,30 +295,29 @@ def environment_reference_rows(packed, level, roughness_kind, has_shape, tile, f
             )  # fmt: skip
             for p in range(starts[g], starts[g + 1]):
                 light_from_all_around(
-                    block, last - first, view[p], frame[p], table, picture, harmonics, pixel_keys[p],
-                    2 * (first // BLOCK) + half, directions, out[p], shade_lobe, shade_diffuse,
+                    block, last - first, view[p], frame[p], table, light, harmonics, which[p], pixel_keys[p],
+                    2 * (first // BLOCK) + half, directions, out[p], shade_lobe, shade_diffuse, look_around,
                 )  # fmt: skip
 
 
 @kernel
-def environment_pyramid_rows(packed, levels, tile, centre, base_size, detail, pixel_keys, view, frame, table, picture,
-                             harmonics, count, first_part, out, log_normalisation, shade_lobe,
-                             shade_diffuse):  # fmt: skip
-    """As ``pyramid_rows``, lit by surroundings: each pixel's lobe under ``count`` blocks of directions of each kind.
+def environment_pyramid_rows(packed, levels, tile, centre, base_size, detail, pixel_keys, which, view, frame, table,
+                             light, harmonics, count, part, out, log_normalisation, shade_lobe, shade_diffuse,
+                             look_around):  # fmt: skip
+    """As ``pyramid_rows``, lit by what has a size: each pixel's lobe under ``count`` directions of either kind.
 
-    Two calls whose blocks ``first_part`` ... ``first_part + count - 1`` do not overlap are independent.
+    ``count`` is at most ``BLOCK``. Calls of different ``part`` are independent.
     """
     single, scratch = np.empty((BLOCK_ROWS, 1), np.float32), make_scratch(1)
     block = np.empty((BLOCK_ROWS, BLOCK), np.float32)
     directions = np.empty((DIRECTION_ROWS, BLOCK), np.float32)
-    share = 1.0 / (count * BLOCK)
+    share = 1.0 / count
     for p in range(out.shape[0]):
         sample_pyramid(packed, levels, tile, centre[p], base_size, detail[p], log_normalisation, scratch, single)
         for row in range(BLOCK_ROWS):
             weighted = row == RIM_WEIGHT or SPECULAR <= row < MATT + 3
-            block[row, :] = single[row, 0] * real(share) if weighted else single[row, 0]
-        for part in range(count):
-            light_from_all_around(
-                block, BLOCK, view[p], frame[p], table, picture, harmonics, pixel_keys[p], first_part + part,
-                directions, out[p], shade_lobe, shade_diffuse,
-            )  # fmt: skip
+            block[row, :count] = single[row, 0] * real(share) if weighted else single[row, 0]
+        light_from_all_around(
+            block, count, view[p], frame[p], table, light, harmonics, which[p], pixel_keys[p], part, directions,
+            out[p], shade_lobe, shade_diffuse, look_around,
+        )  # fmt: skip

@@ -69,13 +69,16 @@ def shading_kernels(model: str, terms: Terms) -> tuple[Any, Any]:
 
 
 @cache
-def environment_kernels(model: str, terms: Terms) -> tuple[Any, Any, Any]:
-    """(log_normalisation, shade_directions, shade_matt), as ``shading_kernels``."""
+def environment_kernels(model: str, terms: Terms, lamps: bool = False) -> tuple[Any, Any, Any, Any]:
+    """(log_normalisation, shade_directions, shade_matt, look_around), as ``shading_kernels``; of lamps, or around."""
     loops = _environment_kernels
+    look_around = loops.light_of_lamps if lamps else loops.light_of_picture
+    _compile(look_around, loops.look_around_type.signature.args)
     return (
         shading_kernels(model, terms)[0],
         _specialised(loops.shade_directions, loops.shade_directions_type, model, terms),
         _specialised(loops.shade_matt, loops.shade_matt_type, model, terms),
+        look_around,
     )
 
 
@@ -140,11 +143,12 @@ def pair_loop() -> Any:
     )  # fmt: skip
 
 
-_SURROUNDINGS = (np.zeros((9, 1), np.float32), np.zeros((1, 1, 4), np.float32), np.zeros((2, 9, 3), np.float32))
+_SURROUNDINGS = (np.zeros((9, 1), np.float32), np.zeros((1, 1, 4), np.float32), np.zeros((1, 2, 9, 3), np.float32))
 _AROUND = (
     _kernels.log_normalisation_type,
     _environment_kernels.shade_directions_type,
     _environment_kernels.shade_matt_type,
+    _environment_kernels.look_around_type,
 )
 
 
@@ -153,7 +157,7 @@ def environment_reference_loop() -> Any:
     """``environment_reference_rows``."""
     return _driver(
         _environment_kernels.environment_reference_rows, _TEXELS, _LEVEL, 0, False, False, _IMAGE, _INDEX, _INDEX,
-        _INDEX, _IMAGE, _IMAGE[None], *_SURROUNDINGS, _LINE, _LINE, _LINE, _LINE, 0, _IMAGE, functions=_AROUND,
+        _INDEX, _INDEX, _IMAGE, _IMAGE[None], *_SURROUNDINGS, _LINE, _LINE, _LINE, _LINE, 0, _IMAGE, functions=_AROUND,
     )  # fmt: skip
 
 
@@ -162,5 +166,5 @@ def environment_pyramid_loop() -> Any:
     """``environment_pyramid_rows``."""
     return _driver(
         _environment_kernels.environment_pyramid_rows, _TEXELS, _LEVEL[None], False, _IMAGE, _LINE, _LINE, _INDEX,
-        _IMAGE, _IMAGE[None], *_SURROUNDINGS, 0, 0, _IMAGE, functions=_AROUND,
+        _INDEX, _IMAGE, _IMAGE[None], *_SURROUNDINGS, 0, 0, _IMAGE, functions=_AROUND,
     )  # fmt: skip

@@ -13,11 +13,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-#: Plastic number's reciprocals: the two-dimensional additive recurrence of lowest discrepancy known (Roberts 2018).
-_R2 = (0.7548776662466927, 0.5698402909980532)
+from brdffit.colour import LUMINANCE
+from brdffit.render.sampling import R2, lobe_rows
+
 #: Share of samples that follows no luminance, and samples in the table.
 _EVENLY, _TABLE = 1e-3, 1 << 15
+#: Size in radians of the pixels that diffuse light is summed over, and planes that are done at a time.
+_COARSE, _FRAMES = 0.06, 1024
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Environment:
 
         A thousandth is drawn evenly from everywhere, so that no direction is left out.
         """
-        luminance = self.radiance.astype(np.float64) @ _LUMINANCE
+        luminance = self.radiance.astype(np.float64) @ LUMINANCE.astype(np.float64)
         total = float(self.solid_angle @ luminance.sum(axis=1))
         if total <= 0.0:
             return np.full(luminance.shape, 0.25 / math.pi)
@@ -77,7 +79,7 @@ class Environment:
         mass = self.density * self.solid_angle[:, None]
         of_rows = np.cumsum(mass.sum(axis=1))
         j = np.arange(count)
-        u, w = (0.5 + _R2[0] * j) % 1.0 * of_rows[-1], (0.5 + _R2[1] * j) % 1.0
+        u, w = (0.5 + R2[0] * j) % 1.0 * of_rows[-1], (0.5 + R2[1] * j) % 1.0
         row = np.minimum(np.searchsorted(of_rows, u, side="right"), height - 1)
         part = (u - np.where(row > 0, of_rows[row - 1], 0.0)) / np.diff(of_rows, prepend=0.0)[row]
         # One ascending sequence over all rows: row number plus the distribution inside the row.
@@ -112,48 +114,87 @@ class Environment:
     def table(self) -> NDArray:
         """What the compiled loops draw from, (TABLE_ROWS, n) float32: see ``_environment_kernels``."""
         direction, at = self.samples(_TABLE)
-        j = np.arange(_TABLE)
-        u, angle = (0.5 + _R2[0] * j) % 1.0, 2.0 * math.pi * ((0.5 + _R2[1] * j) % 1.0)
-        # The lobe's far tail (r > 100) is left to the samples of the surroundings.
-        r = np.sqrt(u / np.maximum(1.0 - u, 1e-4))
         row, column = at.T
         radiance, density = self.radiance[row, column], self.density[row, column]
-        rows = [r * np.cos(angle), r * np.sin(angle), *direction.T, *radiance.T, density]
-        return np.stack(rows).astype(np.float32)
+        return np.stack([*lobe_rows(_TABLE), *direction.T, *radiance.T, density]).astype(np.float32)
 
     @cached_property
     def picture(self) -> NDArray:
         """(H, W, 4) float32: radiance and ``density``."""
         return np.concatenate([self.radiance, self.density[..., None]], axis=-1, dtype=np.float32, casting="same_kind")
 
-    def harmonics(self, fresnel: bool, cosine: bool = True, clips: bool = True) -> NDArray:
-        """(2, 9, 3) float32: E(n) and E_w(n) over pi as quadratic functions of the normal n, without ``rotation``.
+    def harmonics(self, up: NDArray, fresnel: bool, cosine: bool = True, clips: bool = True) -> NDArray:
+        """E(n) and E_w(n) over pi as quadratic functions of the normal n, for planes of normals ``up`` (K, 3).
 
-        E is the irradiance over pi; E_w the same with Schlick's (1 - n.l)^5 as another weight (0 without ``fresnel``).
-        Without ``cosine`` n.l is left out, and without ``clips`` the horizon. Coefficients of 1, x, y, z, xy, yz, xz,
-        x^2 - y^2, 3 z^2 - 1. The spherical harmonics of the radiance up to degree 2, each degree scaled by that of the
-        kernel (Funk and Hecke; Ramamoorthi and Hanrahan 2001: 1% on average for the cosine, 3% under a single lamp).
+        Only light above the plane counts. E is the irradiance over pi; E_w the same with Schlick's (1 - n.l)^5 as
+        another weight (0 without ``fresnel``). Without ``cosine`` n.l is left out, and without ``clips`` the horizon of
+        n. Radiance and normals without ``rotation``.
+
+        Of the radiance above the plane the spherical harmonics up to degree 2 are taken, each degree scaled by that of
+        the kernel (Funk and Hecke; Ramamoorthi and Hanrahan 2001: 1% off on average for the cosine, 3% under a single
+        lamp); a constant is added that makes it right where n is the plane's normal.
+
+        Returns:
+            (K, 2, 9, 3) float32 coefficients of 1, x, y, z, xy, yz, xz, x^2 - y^2, 3 z^2 - 1.
+        """
+        direction, light = self._coarse
+        basis = _quadratic_basis(direction)
+        squared_norm = 4.0 * math.pi / np.array([1.0, 3.0, 3.0, 3.0, 15.0, 15.0, 15.0, 15.0 / 4.0, 5.0 / 4.0])
+        projector = (basis[:, :, None] * light[:, None, :]).reshape(len(light), 27)
+        low = 0.0 if clips else -1.0
+        t, weight = np.polynomial.legendre.leggauss(64)
+        t, weight = low + 0.5 * (1.0 - low) * (t + 1.0), 0.5 * (1.0 - low) * weight
+        out = np.zeros((len(up), 2, 9, 3), np.float32)
+        for first in range(0, len(up), _FRAMES):
+            part = slice(first, first + _FRAMES)
+            height = up[part] @ direction.T
+            # A pixel of the picture that the plane cuts counts by its share.
+            seen = np.clip(height / (2.0 * _COARSE) + 0.5, 0.0, 1.0)
+            projected = (seen @ projector).reshape(-1, 9, 3)
+            of_plane = _quadratic_basis(up[part])
+            for k in range(2 if fresnel else 1):
+
+                def kernel(t: NDArray, k: int = k) -> NDArray:
+                    weight = (1.0 - np.clip(t, 0.0, 1.0)) ** 5 if k else 1.0
+                    return (t if cosine else np.ones_like(t)) * weight / math.pi
+
+                degrees = [2.0 * math.pi * float(np.sum(weight * kernel(t) * p)) for p in (1.0, t, 1.5 * t * t - 0.5)]
+                scale = np.repeat(degrees, (1, 3, 5)) / squared_norm
+                found = scale[:, None] * projected
+                exact = (seen * kernel(np.maximum(height, 0.0))) @ light
+                found[:, 0] += exact - np.einsum("pk,pkc->pc", of_plane, found)
+                out[part, k] = found
+        return out
+
+    @cached_property
+    def _coarse(self) -> tuple[NDArray, NDArray]:
+        """Directions (m, 3) and radiance times solid angle (m, 3) of a picture that is coarse enough for diffuse light.
+
+        Blocks of whole pixels, with the direction that their light has on average over the block's area.
         """
         height, width = self.radiance.shape[:2]
+        step = max(1, round(height * _COARSE / math.pi)), max(1, round(width * _COARSE / (2.0 * math.pi)))
         edge = np.cos(np.arange(height + 1) * math.pi / height)
         y = 0.5 * (edge[:-1] + edge[1:])[:, None]
         azimuth = ((np.arange(width) + 0.5) / width * 2.0 - 1.0)[None] * math.pi
         level = np.sqrt(1.0 - y * y)
-        x, z = level * np.sin(azimuth), -level * np.cos(azimuth)
-        y = np.broadcast_to(y, x.shape)
-        basis = np.stack([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3.0 * z * z - 1.0])
-        squared_norm = 4.0 * math.pi / np.array([1.0, 3.0, 3.0, 3.0, 15.0, 15.0, 15.0, 15.0 / 4.0, 5.0 / 4.0])
-        projected = np.einsum("khw,h,hwc->kc", basis, self.solid_angle, self.radiance.astype(np.float64))
-        t, weight = np.polynomial.legendre.leggauss(64)
-        if clips:
-            t, weight = 0.5 * (t + 1.0), 0.5 * weight
-        out = np.zeros((2, 9, 3), np.float32)
-        for k in range(2 if fresnel else 1):
-            kernel = (t if cosine else np.ones_like(t)) * ((1.0 - np.maximum(t, 0.0)) ** 5 if k else 1.0) / math.pi
-            degrees = [2.0 * math.pi * float(np.sum(weight * kernel * p)) for p in (1.0, t, 1.5 * t * t - 0.5)]
-            scale = np.repeat(degrees, (1, 3, 5)) / squared_norm
-            out[k] = scale[:, None] * projected
-        return out
+        towards = np.stack([level * np.sin(azimuth), np.broadcast_to(y, (height, width)), -level * np.cos(azimuth)], -1)
+        area = np.broadcast_to(self.solid_angle[:, None, None], (height, width, 1))
+        starts = [np.arange(0, size, each) for size, each in zip((height, width), step, strict=True)]
+
+        def summed(values: NDArray) -> NDArray:
+            rows = np.add.reduceat(values, starts[0], axis=0)
+            return np.add.reduceat(rows, starts[1], axis=1).reshape(-1, values.shape[2])
+
+        direction = summed(towards * area)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        return direction, summed(self.radiance * area)
+
+
+def _quadratic_basis(direction: NDArray) -> NDArray:
+    """(m, 9) of 1, x, y, z, xy, yz, xz, x^2 - y^2, 3 z^2 - 1 for directions (m, 3)."""
+    x, y, z = direction.T
+    return np.stack([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3.0 * z * z - 1.0], axis=-1)
 
 
 def procedural_environment(height: int = 256) -> Environment:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -15,35 +16,83 @@ from brdffit.render.lights import Lights
 from brdffit.render.scenes import Scene
 from brdffit.render.terms import Terms
 
+#: Harmonics of a light that has none: the diffuse part is lit by other means.
+_NO_HARMONICS = np.zeros((1, 2, 9, 3), np.float32)
 
-class Lighting(NamedTuple):
-    """A compiled loop, and what it reads of one kind of light: directional lights, or an environment."""
+
+class Lit(NamedTuple):
+    """What lights a picture and which terms of the BRDF are lit."""
+
+    lights: Lights | None
+    environment: Environment | None
+    terms: Terms
+
+    @classmethod
+    def by(cls, lights: Lights | None, environment: Environment | None, terms: Terms) -> Lit:
+        """Lights, an environment, or both; the few small lights where neither is given."""
+        return cls(light_sets.few() if lights is None and environment is None else lights, environment, terms)
+
+    @property
+    def sampled(self) -> bool:
+        """Whether directions of light are sampled: under an environment or lamps that have a size."""
+        return self.environment is not None or (self.lights is not None and bool(self.lights.radius.any()))
+
+
+class Pass(NamedTuple):
+    """A compiled loop, what it reads of one kind of light, and of pixels: arrays of one row each.
+
+    ``sampled``: whether directions of light are sampled, so that two halves of a picture differ.
+    """
 
     loop: Any
     kernels: tuple[Any, ...]
     data: tuple[NDArray, ...]
-    environment: Environment | None
+    pixels: tuple[NDArray, ...]
+    sampled: bool
 
-    def pixels(self, key: NDArray, view: NDArray, frame: NDArray) -> tuple[NDArray, ...]:
-        """What the loop reads of pixels."""
-        return (view, frame) if self.environment is None else (key, view, self.environment.turned(frame))
+    def of_pixels(self, part: slice) -> tuple[NDArray, ...]:
+        """What the loop reads of some pixels."""
+        return tuple(each[part] for each in self.pixels)
 
 
-def lightings(
-    lights: Lights | None, environment: Environment | None, model: str, terms: Terms,
-    loop: Callable[[], Any], environment_loop: Callable[[], Any],
-) -> list[Lighting]:  # fmt: skip
-    """What lights a picture: lights, an environment, or both; the few small lights where neither is given."""
+def passes(
+    lit: Lit, model: str, key: NDArray, view: NDArray, frame: NDArray,
+    loop: Callable[[], Any], sampling_loop: Callable[[], Any],
+) -> list[Pass]:  # fmt: skip
+    """The passes over pixels that make a picture.
+
+    Args:
+        lit: what lights it.
+        model: lobe model.
+        key, view, frame: (P,), (P, 3) and (P, 3, 3) of the pixels.
+        loop, sampling_loop: the drivers for directional lights, and for light that has a size.
+    """
     found = []
-    if lights is None and environment is None:
-        lights = light_sets.few()
-    if lights is not None:
+    lights, terms = lit.lights, lit.terms
+
+    def add_directional(lights: Lights, terms: Terms) -> None:
         data = lights.direction.astype(np.float64), lights.irradiance.astype(np.float64)
-        found.append(Lighting(loop(), shading_kernels(model, terms), data, None))
-    if environment is not None:
-        harmonics = environment.harmonics(terms.fresnel, terms.cosine, terms.clips)
-        around = environment.table, environment.picture, harmonics
-        found.append(Lighting(environment_loop(), environment_kernels(model, terms), around, environment))
+        found.append(Pass(loop(), shading_kernels(model, terms), data, (view, frame), False))
+
+    if lights is not None:
+        points, lamps = lights.part(lights.radius == 0.0), lights.part(lights.radius > 0.0)
+        if points is not None:
+            add_directional(points, terms)
+        if lamps is not None:
+            if terms.diffuse:
+                add_directional(lamps, dataclasses.replace(terms, lobe=False))
+            which = np.zeros(len(key), np.int64)
+            kernels = environment_kernels(model, dataclasses.replace(terms, diffuse=False), lamps=True)
+            data = lamps.table, lamps.discs, _NO_HARMONICS
+            found.append(Pass(sampling_loop(), kernels, data, (key, which, view, frame), True))
+    if lit.environment is not None:
+        turned = lit.environment.turned(frame)
+        up, which = np.unique(np.round(turned[:, 2], 6), axis=0, return_inverse=True)
+        harmonics = lit.environment.harmonics(up, terms.fresnel, terms.cosine, terms.clips)
+        data = lit.environment.table, lit.environment.picture, harmonics
+        which = np.ascontiguousarray(which.reshape(-1), np.int64)
+        pixels = key, which, view, turned
+        found.append(Pass(sampling_loop(), environment_kernels(model, terms), data, pixels, True))
     return found
 
 

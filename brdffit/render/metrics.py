@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.colour import LUMINANCE, encode_srgb
+
 #: Guards the quotient of `relative_l2` for black pictures: a mean squared radiance far below any lit one.
 EPSILON = 1e-6
-#: Luminance of linear sRGB primaries (ITU-R BT.709).
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 #: Mean luminance of a displayed reference, before the curve; highlights then stay below white.
 KEY = 0.22
 #: Exposures that HDR-FLIP looks at, within the range it finds by itself; one a stop would cost many times as much.
@@ -102,8 +102,7 @@ def tone_map(radiance: NDArray, exposure: float) -> NDArray:
     """Displayed values in [0, 1] (float32): exposure, Reinhard's curve with white at `WHITE` (2002, eq. 4), sRGB."""
     x = np.maximum(np.asarray(radiance, np.float32) * np.float32(exposure), 0.0)
     mapped = np.clip(x * (1.0 + x / WHITE**2) / (1.0 + x), 0.0, 1.0)
-    high = 1.055 * np.power(np.maximum(mapped, 0.0031308), 1.0 / 2.4) - 0.055
-    return np.where(mapped <= 0.0031308, 12.92 * mapped, high).astype(np.float32)
+    return encode_srgb(mapped).astype(np.float32)
 
 
 def flip_ldr(displayed: NDArray, displayed_reference: NDArray) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +18,20 @@ from numpy.typing import NDArray
 from brdffit.appearance import Appearance, LobePyramid, Lookups
 from brdffit.errors import InputError
 from brdffit.methods import Pyramid
-from brdffit.render import lights as light_sets
 from brdffit.render._environment_kernels import LIGHT_X, LIGHT_Z
 from brdffit.render._footprints import PIXELS_PER_PIECE, run_in_threads
 from brdffit.render._packing import environment_pyramid_loop, pack_levels, pyramid_loop
 from brdffit.render.environment import Environment
-from brdffit.render.lighting import Pixels, lightings
+from brdffit.render.lighting import Lit, Pixels, passes
 from brdffit.render.lights import Lights
 from brdffit.render.scenes import Scene, level_of_detail
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
 
-#: Blocks of directions of either kind, and directions of either kind in the path in numpy, for each of two halves.
-_BLOCKS, _DIRECTIONS = 1, 64
+#: Directions of either kind that a half of a picture takes: of a lobe in the compiled loops, and in the path in numpy.
+_DIRECTIONS, _PLAIN_DIRECTIONS = 512, 64
+#: Far from the numbers that a reference gives to its blocks: what both draw is independent.
+_PART = 1 << 24
 #: Pixels that the path in numpy draws at a time.
 _PIXELS = 4096
 
@@ -83,12 +85,11 @@ def render_appearance_halves(
         )
     pixels = Pixels(scene)
     detail = level_of_detail(scene)[pixels.rows, pixels.columns].astype(np.float64)
-    if lights is None and environment is None:
-        lights = light_sets.few()
+    lit = Lit.by(lights, environment, terms)
     if isinstance(appearance, LobePyramid):
-        found = _draw_lobes(appearance, scene, pixels, detail, lights, environment, terms, threads)
+        found = _draw_lobes(appearance, scene, pixels, detail, lit, threads)
     elif terms == Terms():
-        found = _draw(appearance, scene, pixels, detail, lights, environment)
+        found = _draw(appearance, scene, pixels, detail, lit)
     else:
         raise InputError("Only a pyramid of lobes can be drawn without some terms of its BRDF.")
     halves = np.zeros((2, *scene.pixels, 3), np.float32)
@@ -104,9 +105,8 @@ def appearance_of(given: Drawable) -> Appearance:
 
 
 def _draw_lobes(
-    pyramid: LobePyramid, scene: Scene, pixels: Pixels, detail: NDArray, lights: Lights | None,
-    environment: Environment | None, terms: Terms, threads: int | None,
-) -> NDArray:  # fmt: skip
+    pyramid: LobePyramid, scene: Scene, pixels: Pixels, detail: NDArray, lit: Lit, threads: int | None
+) -> NDArray:
     """Both halves (2, n, 3) of the pixels of a pyramid of lobes, by the compiled loops."""
     levels = pyramid.levels
     detail = np.clip(detail, 0.0, len(levels) - 1.0)
@@ -115,34 +115,27 @@ def _draw_lobes(
     packed = pack_levels(levels[finest : max(coarsest, finest) + 1])
     detail -= finest
     base_size = np.array(scene.base_size[::-1], np.float64)
-    found = np.zeros((2, len(detail), 3))
-    passes = lightings(lights, environment, packed.model, terms, pyramid_loop, environment_pyramid_loop)
+    # What is the same for both halves, and each half's own.
+    found = np.zeros((3, len(detail), 3))
+    each_pass = passes(lit, packed.model, pixels.key, pixels.view, pixels.frame, pyramid_loop, environment_pyramid_loop)
 
     def work(part: slice) -> int:
-        for lighting in passes:
-            random = lighting.environment is not None
-            for half in (0, 1) if random else (0,):
-                before = found[half, part].copy() if not random else None
-                blocks = (_BLOCKS, half * _BLOCKS) if random else ()
-                lighting.loop(
+        for one in each_pass:
+            for target in (1, 2) if one.sampled else (0,):
+                one.loop(
                     packed.texels, packed.levels, packed.tile, pixels.centre[part], base_size, detail[part],
-                    *lighting.pixels(pixels.key[part], pixels.view[part], pixels.frame[part]), *lighting.data, *blocks,
-                    found[half, part], *lighting.kernels,
+                    *one.of_pixels(part), *one.data, *((_DIRECTIONS, _PART + target) if one.sampled else ()),
+                    found[target, part], *one.kernels,
                 )  # fmt: skip
-                if before is not None:
-                    found[1, part] += found[0, part] - before
         return part.stop - part.start
 
     step = PIXELS_PER_PIECE
     jobs = [(slice(i, min(i + step, len(detail))),) for i in range(0, len(detail), step)]
     run_in_threads(work, jobs, threads, None, len(detail))
-    return found
+    return found[1:] + found[0]
 
 
-def _draw(
-    appearance: Appearance, scene: Scene, pixels: Pixels, detail: NDArray, lights: Lights | None,
-    environment: Environment | None,
-) -> NDArray:  # fmt: skip
+def _draw(appearance: Appearance, scene: Scene, pixels: Pixels, detail: NDArray, lit: Lit) -> NDArray:
     """Both halves (2, n, 3) of the pixels of any appearance."""
     axes = scene.axes[pixels.rows, pixels.columns]
     lookups = Lookups(pixels.centre, np.ascontiguousarray(axes, np.float64), detail, pixels.view)
@@ -150,46 +143,58 @@ def _draw(
     for first in range(0, len(detail), _PIXELS):
         part = slice(first, first + _PIXELS)
         view, frame = pixels.view[part], pixels.frame[part]
-        texels = appearance.look_up(lookups.part(part))
-        if lights is not None:
-            found[:, part] += _under_lights(appearance, texels, view, frame, lights)
-        if environment is not None:
+        seen = Seen(appearance, appearance.look_up(lookups.part(part)), view)
+        if lit.lights is not None:
+            points, lamps = (lit.lights.part(chosen) for chosen in (lit.lights.radius == 0.0, lit.lights.radius > 0.0))
+            if points is not None:
+                found[:, part] += _under_points(seen, frame, points)
+            if lamps is not None:
+                for half in (0, 1):
+                    found[half, part] += _sampled(seen, frame, lamps, np.random.default_rng([half, first, 1]))
+        if lit.environment is not None:
+            turned = lit.environment.turned(frame)
             for half in (0, 1):
-                seed = np.random.default_rng([half, first])
-                found[half, part] += _all_around(appearance, texels, view, frame, environment, seed)
+                random = np.random.default_rng([half, first])
+                found[half, part] += _sampled(seen, turned, lit.environment, random)
     return found
 
 
-def _under_lights(appearance: Appearance, texels: object, view: NDArray, frame: NDArray, lights: Lights) -> NDArray:
+class Seen(NamedTuple):
+    """An appearance, what was read of it for n pixels, and their view (n, 3)."""
+
+    appearance: Appearance
+    texels: Any
+    view: NDArray
+
+    def reflected(self, light: NDArray) -> NDArray:
+        """BRDF times cosine (n, 3) under directions (n, 3); 0 below the plane of the texture."""
+        found = np.asarray(self.appearance.evaluate(self.texels, self.view, light), np.float64)
+        return np.where(light[:, 2:] > 0.0, found, 0.0)
+
+
+def _under_points(seen: Seen, frame: NDArray, lights: Lights) -> NDArray:
     """Radiance (n, 3) under directional lights."""
-    found = np.zeros((len(view), 3))
+    found = np.zeros((len(frame), 3))
     for direction, irradiance in zip(lights.direction, lights.irradiance, strict=True):
-        light = frame @ direction.astype(np.float64)
-        reflected = np.asarray(appearance.evaluate(texels, view, light), np.float64)
-        found += np.where(light[:, 2:] > 0.0, irradiance * reflected, 0.0)
+        found += irradiance * seen.reflected(frame @ direction.astype(np.float64))
     return found
 
 
-def _all_around(
-    appearance: Appearance, texels: object, view: NDArray, frame: NDArray, environment: Environment,
-    random: np.random.Generator,
-) -> NDArray:  # fmt: skip
-    """Radiance (n, 3) under an environment: f L / (p_e + p_a), summed over directions of both densities, over their
-    number."""
-    frame = environment.turned(frame)
-    found = np.zeros((len(view), 3))
-    count = len(view)
+def _sampled(seen: Seen, frame: NDArray, light: Environment | Lights, random: np.random.Generator) -> NDArray:
+    """Radiance (n, 3) under light that has a size: the mean of f L / (p_l + p_a) over directions of either density."""
+    found = np.zeros((len(frame), 3))
+    count = len(frame)
     # Any run of the table is well spread; each pixel reads another.
-    towards = environment.table[LIGHT_X : LIGHT_Z + 1].T.astype(np.float64)
+    towards = light.table[LIGHT_X : LIGHT_Z + 1].T.astype(np.float64)
     run = random.integers(len(towards), size=count)
     # Jittered along the first number, so that a pixel's directions are spread over the lobe.
-    u = random.random((_DIRECTIONS, count, 2))
-    u[..., 0] = (u[..., 0] + np.argsort(random.random((_DIRECTIONS, count)), axis=0)) / _DIRECTIONS
-    for i in range(_DIRECTIONS):
-        of_lobe = np.asarray(appearance.sample(texels, view, u[i]), np.float64)
-        for light in (np.einsum("nij,nj->ni", frame, towards[(run + i) % len(towards)]), of_lobe):
-            radiance, density = environment.look_up(np.einsum("nji,nj->ni", frame, light))
-            density = density + appearance.pdf(texels, view, light)
-            reflected = np.asarray(appearance.evaluate(texels, view, light), np.float64) * radiance
-            found += np.where(light[:, 2:] > 0.0, reflected / np.maximum(density, 1e-20)[:, None], 0.0)
-    return found / _DIRECTIONS
+    u = random.random((_PLAIN_DIRECTIONS, count, 2))
+    u[..., 0] = (u[..., 0] + np.argsort(random.random(u.shape[:2]), axis=0)) / _PLAIN_DIRECTIONS
+    for i in range(_PLAIN_DIRECTIONS):
+        of_light = np.einsum("nij,nj->ni", frame, towards[(run + i) % len(towards)])
+        of_lobe = np.asarray(seen.appearance.sample(seen.texels, seen.view, u[i]), np.float64)
+        for direction in (of_light, of_lobe):
+            radiance, density = light.look_up(np.einsum("nji,nj->ni", frame, direction))
+            density = density + seen.appearance.pdf(seen.texels, seen.view, direction)
+            found += seen.reflected(direction) * radiance / np.maximum(density, 1e-20)[:, None]
+    return found / _PLAIN_DIRECTIONS

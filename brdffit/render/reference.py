@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +41,7 @@ from brdffit.render._packing import (
     reference_loop,
 )
 from brdffit.render.environment import Environment
-from brdffit.render.lighting import Lighting, Pixels, lightings
+from brdffit.render.lighting import Lit, Pixels, passes
 from brdffit.render.lights import Lights
 from brdffit.render.pairs import pair_errors
 from brdffit.render.scenes import Scene
@@ -155,42 +154,42 @@ def render_halves(
     """
     _check(base, scene.base_size)
     chosen, packed = get_pixel_filter(pixel_filter), pack_base(base)
-    passes = lightings(lights, environment, base.model, terms, reference_loop, environment_reference_loop)
-    least = _LEAST_DIRECTIONS if environment is not None else 1
+    lit = Lit.by(lights, environment, terms)
+    least = _LEAST_DIRECTIONS if lit.sampled else 1
     if isinstance(samples, int):
         budget = Budget.of(max(samples, least))
     else:
         preset = SAMPLES[one_of("number of samples", samples or "standard", tuple(SAMPLES))]
         budget = preset.budget.times(1.0, least)
-        pilot = _average(packed, _some_pixels(scene), passes, chosen, budget, threads, None)
+        pilot = _average(packed, _some_pixels(scene), lit, chosen, budget, threads, None)
         # Independent samples: a quarter of the noise power wants four times as many.
         missing = 2.0 ** math.ceil((preset.noise_db - min(pilot.noise_db, 99.0)) / (10.0 * math.log10(2.0)))
-        paid = preset.cost / _cost(scene, base.wrap == "tile", preset.budget, environment is not None)
+        paid = preset.cost / _cost(scene, base.wrap == "tile", preset.budget, lit.sampled)
         budget = preset.budget.times(max(min(max(missing, 1.0), paid), preset.least), least)
-    return _average(packed, scene, passes, chosen, budget, threads, progress)
+    return _average(packed, scene, lit, chosen, budget, threads, progress)
 
 
 def _average(
-    packed: Packed, scene: Scene, passes: Sequence[Lighting], pixel_filter: PixelFilter, budget: Budget,
+    packed: Packed, scene: Scene, lit: Lit, pixel_filter: PixelFilter, budget: Budget,
     threads: int | None, progress: Progress | None,
 ) -> Reference:  # fmt: skip
     """Both halves of a picture, with so many samples a footprint."""
     pixels = Pixels(scene)
     footprints = group_footprints(pixels.centre, pixels.axes, scene.base_size, packed.tile)
     of = footprints.order
-    view, frame, keys = pixels.view[of], pixels.frame[of], pixels.key[of]
-    found = np.zeros((2, len(view), 3))
+    of_pixels = pixels.key[of], pixels.view[of], pixels.frame[of]
+    each_pass = passes(lit, packed.model, *of_pixels, reference_loop, environment_reference_loop)
+    found = np.zeros((2, len(of), 3))
 
     def work(rule: Rule, part: slice) -> int:
         starts = footprints.starts[part.start : part.stop + 1]
         inside = slice(int(starts[0]), int(starts[-1]))
         for half in (0, 1):
-            for lighting in passes:
-                lighting.loop(
+            for one in each_pass:
+                one.loop(
                     packed.texels, packed.levels[0], packed.roughness_kind, packed.has_shape, packed.tile,
                     footprints.place[part], starts - starts[0], footprints.key[part],
-                    *lighting.pixels(keys[inside], view[inside], frame[inside]), *lighting.data, *rule, half,
-                    found[half, inside], *lighting.kernels,
+                    *one.of_pixels(inside), *one.data, *rule, half, found[half, inside], *one.kernels,
                 )  # fmt: skip
         return inside.stop - inside.start
 
@@ -198,7 +197,7 @@ def _average(
     for part, count in equal_samples(footprints.place, budget):
         rule = strata_rule(pixel_filter, *count)
         jobs += [(rule, piece) for piece in pieces(footprints.starts, part)]
-    run_in_threads(work, jobs, threads, progress, len(view))
+    run_in_threads(work, jobs, threads, progress, len(of))
     halves = np.zeros((2, *scene.pixels, 3), np.float32)
     halves[:, pixels.rows[of], pixels.columns[of]] = found
     return Reference(halves.mean(axis=0), halves)
