@@ -22,6 +22,8 @@ import llvmlite.binding
 _KERNEL_ROOMS = {
     "fitting": ("models", "halfangle", "fitting"),
     "render": ("models", "halfangle", "render"),
+    "nets": ("nets",),
+    "learned": ("models", "halfangle", "fitting", "nets", "learned"),
 }
 
 
@@ -109,7 +111,8 @@ def _compile(function: Callable, **flags: Any) -> Any:
     whoever calls a kernel holds its arrays anyway.
     """
     flags["_nrt"] = bool(_ALLOCATORS & set(function.__code__.co_names))
-    group = "render" if function.__module__.startswith("brdffit.render.") else "fitting"
+    room = function.__module__.removeprefix("brdffit.").partition(".")[0]
+    group = room if room in _KERNEL_ROOMS else "fitting"
     foreign = _foreign_sources(function)
     folder = CACHE_FOLDERS[group] + (f"-{_digest_of(foreign)}" if foreign else "")
     numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]  # Numba reads it at decoration
