@@ -30,8 +30,9 @@ from brdffit.models import get_model
 from brdffit.roughness import eigenvalues_of_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures import encoding
-from brdffit.textures.conversion import moved_by_noise, to_svbrdf
+from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.reading import read_texture_set
+from brdffit.textures.relief import moved_by_noise
 from brdffit.textures.texture_set import TextureSet
 
 #: Slope (76 degrees) from which a normal is steep; share above the horizon's own z that still counts as lying on it.

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+#: Difference of two channels that are alike but for the rounding of a JPEG.
+_ALIKE = 3.0 / 255.0
 #: Length below which a stored normal is no direction: (127, 127, 127) and (128, 128, 128) decode to 0.007.
 ZERO_LENGTH = 0.02
 #: Smallest z of a unit normal, one code step at 8 bits: what lies lower has no slope that can be told.
@@ -43,7 +45,7 @@ def obvious_channel(pixels: NDArray, role: str) -> tuple[NDArray, str]:
     ):
         return pixels[:, :, 0], ""
     # A JPEG's colours may differ by a rounding; only more than that is another quantity.
-    if max(float(np.abs(pixels[..., 0] - pixels[..., k]).max()) for k in (1, 2)) <= 3.0 / 255.0:
+    if max(float(np.abs(pixels[..., 0] - pixels[..., k]).max()) for k in (1, 2)) <= _ALIKE:
         return pixels[:, :, 1], ""
     taken = {"roughness": "G", "gloss": "G", "metallic": "B"}.get(role, "R")
     return pixels[:, :, "RGB".index(taken)], taken
@@ -62,6 +64,38 @@ def stored_vectors(pixels: NDArray, is_float: bool) -> NDArray:
         if float(pixels.min()) < -0.01 or across < 0.1:
             return pixels
     return 2.0 * pixels - 1.0
+
+
+def rebuilt_how(pixels: NDArray, vectors: NDArray) -> str:
+    """Why z of stored normals must be rebuilt from x and y: what the map has instead; "" where z is as it says.
+
+    Args:
+        pixels: (H, W, C) as stored.
+        vectors: (H, W, 2 or 3) of them, in [-1, 1].
+    """
+    if pixels.shape[2] == 2:
+        return "has two channels"
+    z = vectors[:, :, 2]
+    if float(np.ptp(z)) == 0.0:
+        # Block-compressed maps come back with a blue of zero or a constant; a constant map keeps what it says.
+        constant = float(np.ptp(vectors, axis=(0, 1)).max()) == 0.0
+        return "" if constant and float(z.flat[0]) > 0.0 else "has two channels"
+    implied = rebuild_z(vectors[:, :, :2])
+    spread, mean = float(implied.std()), float(z.mean(dtype=np.float64))
+    # A blue of 255 that a JPEG has roughened says nothing either: it does not follow x and y.
+    if spread > 0.01 and mean > 0.97 and float(z.std()) < 0.25 * spread and mean > float(implied.mean()) + spread:
+        return "has two channels and a blue that does not follow them"
+    return ""
+
+
+def x_in_alpha(pixels: NDArray) -> bool:
+    """Whether an RGBA normal map holds x in alpha and y in green (DXT5nm): red is constant, alpha varies about 0.5."""
+    if pixels.shape[2] != 4:
+        return False
+    red, alpha = pixels[:, :, 0], pixels[:, :, 3]
+    if float(np.ptp(red)) > _ALIKE or float(np.ptp(alpha)) < 4.0 * _ALIKE:
+        return False
+    return abs(float(alpha.mean(dtype=np.float64)) - 0.5) < 0.2 and abs(float(red.flat[0]) - 0.5) > 0.2
 
 
 def slopes_of_normals(vectors: NDArray) -> NDArray:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from brdffit.errors import InputError
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
-from brdffit.textures import encoding
 from brdffit.textures.conversion import scalar_map, to_svbrdf
 from brdffit.textures.noise_floor import subtract_noise_floor
 from brdffit.textures.orientation import DECISIVE, normal_y_agreement
@@ -123,7 +122,7 @@ def _look_at_map(inspection: Inspection, texture_set: TextureSet, role: str) -> 
         return
     if pixels.shape[2] < 2:
         return
-    vectors = encoding.stored_vectors(pixels, named.info.is_float)
+    vectors = named.vectors(pixels)[0]
     if vectors.shape[2] == 3 and float(np.ptp(vectors[:, :, 2])) > 0.0:
         length = float(np.sqrt(np.square(vectors).sum(axis=2)).mean(dtype=np.float64))
         inspection.statistics["stored_normal_length"] = length

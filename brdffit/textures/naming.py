@@ -12,7 +12,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 #: Roles a map can have inside the program.
-ROLES = ("base_color", "normal", "roughness", "gloss", "metallic", "specular", "height", "ao")
+ROLES = (
+    "base_color", "normal", "roughness", "gloss", "metallic", "specular", "specular_level", "specular_color",
+    "anisotropy", "height", "ao", "opacity",
+)  # fmt: skip
 
 _ROLE_WORDS = {
     "base_color": "basecolor basecolour color colour col albedo alb diffuse diff dif diffusecolor basemap bc",

@@ -58,7 +58,7 @@ def normal_y_agreement(texture_set: TextureSet) -> tuple[float, str]:
     pixels, noise = normal.read()
     if pixels.shape[2] < 2:
         return 0.0, "slopes"
-    slope = encoding.slopes_of_normals(encoding.stored_vectors(pixels[:_CROP, :_CROP], normal.info.is_float))
+    slope = encoding.slopes_of_normals(normal.vectors(pixels[:_CROP, :_CROP])[0])
     height = texture_set.maps.get("height")
     if height is not None and height.size == normal.size:
         field_, _ = height.quantity(height.read()[0])

@@ -11,6 +11,7 @@ import numpy as np
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.files.image_io import IMAGE_SUFFIXES, ImageInfo, read_info
 from brdffit.svbrdf import WRAPS
+from brdffit.textures.frames import IDENTITY, common_frame
 from brdffit.textures.gltf import read_gltf
 from brdffit.textures.materialx import read_materialx
 from brdffit.textures.naming import ROLES, NamedSet, old_cc0textures, packed_roles, roles_from_names
@@ -18,6 +19,8 @@ from brdffit.textures.orientation import settle_normal_y
 from brdffit.textures.texture_set import MAX_SIDE, NORMAL_YS, Map, TextureSet
 
 SUFFIXES = (".gltf", ".glb", ".mtlx")
+#: Longest side of a map that may stand in for a constant, and how far its values may differ.
+_STAND_IN, _CONSTANT = 64, 1.5 / 255.0
 
 
 def read_material(path: Path, material: str | None = None) -> TextureSet:
@@ -76,8 +79,9 @@ def read_texture_set(
     if height_scale is not None and not (np.isfinite(height_scale) and height_scale > 0.0):
         raise InputError(f"The height scale is {height_scale}, expected a positive number of texels.")
     texture_set = _find_maps(path, dict(roles or {}), material)
-    texture_set.wrap = wrap or texture_set.wrap
     texture_set.height_scale, texture_set.denoise_normals = height_scale, denoise_normals
+    settle_wrap(texture_set, path, wrap)
+    settle_frames(texture_set, path)
     check_sizes(texture_set, path)
     if "normal" in without and texture_set.maps:
         return texture_set
@@ -180,29 +184,84 @@ def normal_y_from_names(texture_set: TextureSet, named: NamedSet) -> None:
         )
 
 
+def settle_wrap(texture_set: TextureSet, path: Path, wrap: str | None) -> None:
+    """Take the wrap that is given, or the file's, which must then be one that is known here and the same for all."""
+    if wrap is not None:
+        texture_set.wrap = wrap
+    elif texture_set.wrap not in WRAPS:
+        raise InputError(
+            f"The samplers of '{path}' say '{texture_set.wrap}', expected 'tile' or 'clamp' for all maps: give --wrap."
+        )
+
+
+def settle_frames(texture_set: TextureSet, path: Path) -> None:
+    """Bring maps that are scaled or turned against each other to one frame; a frame that all share stays outside.
+
+    Raises:
+        InputError: where in no map's frame the others repeat a whole number of times, or the set does not tile.
+    """
+    frames = {role: named.frame for role, named in texture_set.maps.items()}
+    if len(set(frames.values())) <= 1:
+        if any(frame != IDENTITY for frame in frames.values()):
+            texture_set.note(
+                "All maps share a texture transform: it stays with the renderer, and changes no texel here."
+            )
+        for named in texture_set.maps.values():
+            named.frame = IDENTITY
+        return
+    common = common_frame([frames[role] for role in sorted(frames, key=lambda role: role != "normal")])
+    back = common.inverse() if common is not None and texture_set.wrap == "tile" else None
+    if back is None:
+        each = ", ".join(f"{role} {frame}" for role, frame in frames.items())
+        raise InputError(
+            f"The maps of '{path}' are scaled or turned against each other so that they do not tile together ({each}), "
+            f"expected one texture transform, or such that each map repeats a whole number of times."
+        )
+    owners = ", ".join(role for role, frame in frames.items() if frame == common)
+    moved = ", ".join(role for role, frame in frames.items() if frame != common)
+    texture_set.note(f"Texture transforms differ: {moved} is read as it lies under the texels of {owners}.")
+    for named in texture_set.maps.values():
+        named.frame = named.frame.after(back)
+
+
 def check_sizes(texture_set: TextureSet, path: Path) -> None:
-    """Refuse maps that cannot be brought to one size; a map of one texel goes with any other."""
+    """Refuse maps that cannot be brought to one size; a map of one value throughout goes with any other."""
     if not texture_set.maps:
         return
-    sizes = {}
     for named in texture_set.maps.values():
-        height, width = sizes[named.path.name, id(named.data)] = named.size
+        height, width = named.size
         if max(height, width) > MAX_SIDE:
             raise InputError(f"'{named.path}' is {width}x{height} texels, expected at most {MAX_SIDE} a side.")
+    for named in texture_set.maps.values():
+        if not _fits(named.size, texture_set.size):
+            for small in (each for each in texture_set.maps.values() if not _fits(each.size, named.size)):
+                small.constant = small.constant or (max(small.size) <= _STAND_IN and _is_constant(small))
+            named.constant = named.constant or (max(named.size) <= _STAND_IN and _is_constant(named))
     full_height, full_width = texture_set.size
     for named in texture_set.maps.values():
         height, width = named.size
-        if (height, width) == (1, 1):
-            continue
-        # One texel of rounding on the shorter way.
-        if (
-            abs(width - full_width * height / full_height) > 1.0
-            and abs(height - full_height * width / full_width) > 1.0
-        ):
+        if not _fits((height, width), (full_height, full_width)):
             raise InputError(
                 f"The maps of '{path}' cannot belong together: '{named.path.name}' is {width}x{height} where the "
                 f"largest map is {full_width}x{full_height}, expected the same proportions."
             )
+    sizes = {(named.path.name, id(named.data)): named.size for named in texture_set.maps.values()}
     different = sorted({f"{w}x{h}" for h, w in sizes.values()})
     if len(different) > 1:
         texture_set.note(f"Maps of different sizes ({', '.join(different)}) are brought to {full_width}x{full_height}.")
+
+
+def _fits(size: tuple[int, int], full: tuple[int, int]) -> bool:
+    """Whether a map of ``size`` can be brought to ``full``: one texel of rounding on the shorter way is allowed."""
+    (height, width), (full_height, full_width) = size, full
+    return (
+        size == (1, 1)
+        or abs(width - full_width * height / full_height) <= 1.0
+        or abs(height - full_height * width / full_width) <= 1.0
+    )
+
+
+def _is_constant(named: Map) -> bool:
+    """Whether a map holds one value throughout."""
+    pixels, _ = named.read()
+    return float(np.ptp(pixels, axis=(0, 1)).max()) <= _CONSTANT

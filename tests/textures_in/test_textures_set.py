@@ -334,7 +334,7 @@ def test_no_normal_and_no_height_is_told(make_folder) -> None:
 
 
 def test_maps_of_other_proportions_are_told(make_folder) -> None:
-    folder = make_folder(a_NormalGL__png=encoded(NORMAL), a_Color__png=np.full((64, 64, 3), 0.5))
+    folder = make_folder(a_NormalGL__png=encoded(NORMAL), a_Color__png=np.random.default_rng(0).random((64, 64, 3)))
     with pytest.raises(
         InputError, match="cannot belong together: 'a_NormalGL.png' is 64x48 where the largest map is 64x64"
     ):
