@@ -24,6 +24,7 @@ _KERNEL_ROOMS = {
     "render": ("models", "halfangle", "render"),
     "nets": ("nets",),
     "learned": ("models", "halfangle", "fitting", "nets", "learned"),
+    "probes": ("probes/kernels",),
 }
 
 

@@ -1,0 +1,128 @@
+"""Roughness of each level of a probe, and the level that a shader asks for: one function a curve, in both directions.
+
+Levels are numbered from 0 (sharp) to last; roughness is perceptual, alpha = roughness^2. Sources: the engines' shaders.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A relation of level and roughness.
+
+    Attributes:
+        name: as on the command line.
+        levels: how many levels it is for.
+        roughness: perceptual roughness of a level (float array in [0, levels - 1]).
+        level: level of a roughness (float array), the inverse.
+        formula: the shader's line for ``level``; r is roughness.
+    """
+
+    name: str
+    levels: int
+    roughness: Callable[[NDArray], NDArray]
+    level: Callable[[NDArray], NDArray]
+    formula: str
+
+    def alphas(self) -> list[float]:
+        """alpha of each level."""
+        return [float(r) ** 2 for r in self.roughness(np.arange(self.levels, dtype=np.float64))]
+
+
+def _linear(levels: int, size: int) -> Curve:
+    last = max(levels - 1, 1)
+    return Curve("linear", levels, lambda k: k / last, lambda r: r * last, f"lod = {last} * r")
+
+
+def _quadratic(levels: int, size: int) -> Curve:
+    """Filament, Ogre, three.js: more levels for sharp lobes."""
+    last = max(levels - 1, 1)
+    return Curve(
+        "quadratic",
+        levels,
+        lambda k: 1.0 - np.sqrt(np.maximum(1.0 - k / last, 0.0)),
+        lambda r: last * r * (2.0 - r),
+        f"lod = {last} * r * (2 - r)",
+    )
+
+
+def _unity(levels: int, size: int) -> Curve:
+    """Unity: perceptualRoughness * (1.7 - 0.7 perceptualRoughness) over the levels."""
+    last = max(levels - 1, 1)
+    return Curve(
+        "unity",
+        levels,
+        lambda k: (1.7 - np.sqrt(np.maximum(2.89 - 2.8 * k / last, 0.0))) / 1.4,
+        lambda r: last * r * (1.7 - 0.7 * r),
+        f"lod = {last} * r * (1.7 - 0.7 * r)",
+    )
+
+
+def _unreal(levels: int, size: int) -> Curve:
+    """Unreal: lod = n - 2 + 1.2 log2 r with the full chain of n levels; levels past it are clamped to roughness 1."""
+    full = int(math.log2(size)) + 1
+    return Curve(
+        "unreal",
+        levels,
+        lambda k: np.minimum(np.exp2((k - (full - 2)) / 1.2), 1.0),
+        lambda r: full - 2 + 1.2 * np.log2(np.maximum(r, 1e-4)),
+        f"lod = {full - 2} + 1.2 * log2(r)",
+    )
+
+
+def _activision(levels: int, size: int) -> Curve:
+    """Activision: gloss 1 - l/last, alpha^2 = 2 / (1 + 2^(18 gloss)); each level is 2^1.5 times as rough."""
+    last = max(levels - 1, 1)
+    return Curve(
+        "activision",
+        levels,
+        lambda k: np.power(2.0 / (1.0 + np.exp2(18.0 * (1.0 - k / last))), 0.25),
+        lambda r: last - np.log2(np.maximum(2.0 / np.maximum(r, 1e-4) ** 4 - 1.0, 1.0)) * last / 18.0,
+        f"lod = {last} - log2(2 / r^4 - 1) * {last} / 18",
+    )
+
+
+CURVES: dict[str, Callable[[int, int], Curve]] = {
+    "linear": _linear,
+    "quadratic": _quadratic,
+    "activision": _activision,
+    "unity": _unity,
+    "unreal": _unreal,
+}
+
+
+def get_curve(name: str, levels: int, size: int) -> Curve:
+    """The curve of a name, or of a list of roughness values "0,0.1,0.4,1", for a cube of ``size`` with ``levels``.
+
+    Raises:
+        InputError: when the name is unknown, or a list does not rise from 0 to 1 or has another length.
+    """
+    if name in CURVES:
+        return CURVES[name](levels, size)
+    try:
+        values = np.array([float(part) for part in name.split(",")])
+    except ValueError as error:
+        known = ", ".join(CURVES)
+        raise InputError(
+            f"There is no roughness curve '{name}': known are {known}, or a list as 0,0.2,0.5,1."
+        ) from error
+    rises = len(values) > 1 and np.all(np.diff(values) > 0.0) and 0.0 <= values[0] and values[-1] <= 1.0
+    if not rises or len(values) != levels:
+        raise InputError(f"The curve '{name}' has {len(values)} values, expected {levels} that rise within 0 to 1.")
+    steps = np.arange(levels, dtype=np.float64)
+    return Curve(
+        "custom",
+        levels,
+        lambda k: np.interp(k, steps, values),
+        lambda r: np.interp(r, values, steps),
+        "lod = piecewise linear through the roughness of the levels",
+    )

@@ -1,0 +1,51 @@
+"""Brute force, and bright texels that are taken out of the picture and added exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.probes.cubemap import directions, mean_radiance, solid_angles
+from brdffit.probes.kernels.direct import add_points, weigh_all
+from brdffit.probes.lobe import lobe_integral
+from brdffit.probes.parallel import over_rows
+
+
+def packed_source(cube: NDArray) -> NDArray:
+    """(7, 6 n^2) float64 directions, solid angles and radiance of the texels of a cube map (6, n, n, 3)."""
+    n = cube.shape[1]
+    angle = np.broadcast_to(solid_angles(n), (6, n, n)).reshape(1, -1)
+    at = directions(n).reshape(-1, 3).T
+    return np.ascontiguousarray(np.concatenate([at, angle, cube.reshape(-1, 3).T.astype(np.float64)]))
+
+
+def filtered_exactly(source: NDArray, normals: NDArray, alpha: float, threads: int = 1) -> NDArray:
+    """(q, 3) float64 radiance around normals (q, 3), from every texel of a ``packed_source``."""
+    normals = np.ascontiguousarray(normals, np.float64)
+    out = np.empty(normals.shape)
+    over_rows(lambda first, last: weigh_all(normals, alpha, source, first, last, out), len(normals), threads)
+    return out
+
+
+def split_bright(cube: NDArray, cap: float) -> tuple[NDArray, NDArray]:
+    """The cube map without what is brighter than ``cap`` times its mean, and what was taken out as points (7, k).
+
+    A texel is scaled down so that its largest channel is at most cap times the mean of the largest channels; colours
+    stay. The points are laid out as a ``packed_source``; texels and points together hold all the energy.
+    """
+    largest = cube.max(axis=-1)
+    limit = cap * float(mean_radiance(largest[..., None])[0])
+    scale = np.minimum(1.0, limit / np.maximum(largest, 1e-30))
+    rest = (cube * scale[..., None]).astype(cube.dtype)
+    bright = np.flatnonzero(largest.ravel() > limit)
+    return rest, np.ascontiguousarray(packed_source(cube.astype(np.float64) - rest)[:, bright])
+
+
+def add_bright(level: NDArray, points: NDArray, alpha: float, threads: int = 1) -> NDArray:
+    """A filtered level (6, n, n, 3) with the exact contribution of points that were taken out."""
+    n = level.shape[1]
+    out = level.reshape(-1, 3).astype(np.float64)
+    normals = np.ascontiguousarray(directions(n).reshape(-1, 3))
+    per = 1.0 / lobe_integral(alpha)
+    over_rows(lambda first, last: add_points(normals, alpha, per, points, first, last, out), len(normals), threads)
+    return out.reshape(level.shape).astype(level.dtype)

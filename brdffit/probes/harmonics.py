@@ -1,0 +1,119 @@
+"""Spherical harmonics: irradiance in few numbers, the paper's Table 3, and an independent oracle of the filters.
+
+Of a zonal kernel K(n.l) only lambda_l = 2 pi integral K(t) P_l(t) dt counts (Funk and Hecke): filtering multiplies the
+harmonics of degree l by it. The polar axis here is +Y; the azimuth is 0 along -Z and grows towards +X.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from scipy.special import sph_harm_y
+
+from brdffit.probes.cubemap import directions, resized, solid_angles
+from brdffit.probes.lobe import lobe, lobe_integral
+
+#: Size of the cube that low orders are taken from: they see no finer texels.
+_PROJECTION_SIZE = 64
+
+
+def zonal_coefficients(alpha: float, order: int) -> NDArray:
+    """(order,) lambda of degrees 0 to order - 1 of the normalised lobe; lambda_0 = 1.
+
+    Gauss points in panels of s, with 1 - t = s^4: they gather at the peak, however narrow it is.
+    """
+    node, share = legendre.leggauss(16)
+    panels = 24 + order
+    s = ((np.arange(panels)[:, None] + 0.5 * (node + 1.0)) / panels).ravel()
+    far, weight = s**4, np.tile(0.5 * share / panels, panels) * 4.0 * s**3
+    values = 2.0 * np.pi * weight * lobe(far, alpha) / lobe_integral(alpha)
+    t = 1.0 - far
+    out, before, now = np.empty(order), np.ones_like(t), t.copy()
+    for degree in range(order):
+        out[degree] = values @ before
+        # (l + 1) P_{l+1} = (2 l + 1) t P_l - l P_{l-1}
+        before, now = now, ((2 * degree + 3) * t * now - (degree + 1) * before) / (degree + 2)
+    return out
+
+
+def truncation_error(order: int, alpha: float = 1.0) -> float:
+    """L1 over the sphere of what a lobe of unit integral loses beyond degrees 0 to order - 1 (Table 3, irradiance)."""
+    t = np.linspace(-1.0, 1.0, 400_001)
+    degrees = np.arange(order)
+    series = legendre.legval(t, (2.0 * degrees + 1.0) / (4.0 * np.pi) * zonal_coefficients(alpha, order))
+    distance = np.abs(series - lobe(1.0 - t, alpha) / lobe_integral(alpha))
+    return float(2.0 * np.pi * np.trapezoid(distance, t))
+
+
+def _basis(direction: NDArray, order: int) -> list[tuple[int, int, NDArray]]:
+    """(degree, m, Y) for m >= 0 in directions (..., 3)."""
+    polar = np.arccos(np.clip(direction[..., 1], -1.0, 1.0))
+    azimuth = np.arctan2(direction[..., 0], -direction[..., 2])
+    return [(degree, m, sph_harm_y(degree, m, polar, azimuth)) for degree in range(order) for m in range(degree + 1)]
+
+
+def analysed(cube: NDArray, order: int) -> NDArray:
+    """(order, order, 3) complex coefficients (degree, m >= 0) of a cube map (6, n, n, 3)."""
+    cube = resized(cube, min(_PROJECTION_SIZE, cube.shape[1]))
+    n = cube.shape[1]
+    weighted = cube * solid_angles(n)[None, :, :, None]
+    out = np.zeros((order, order, 3), complex)
+    for degree, m, value in _basis(directions(n), order):
+        out[degree, m] = np.einsum("fji,fjic->c", np.conj(value), weighted)
+    return out
+
+
+def analysed_latlong(picture: NDArray, order: int) -> NDArray:
+    """The same of an equirectangular picture (H, W, 3), constant inside its pixels, its middle column along -Z."""
+    height, width = picture.shape[:2]
+    edge = np.linspace(0.0, np.pi, height + 1)
+    area = (np.cos(edge[:-1]) - np.cos(edge[1:])) * 2.0 * np.pi / width
+    polar = 0.5 * (edge[:-1] + edge[1:])
+    azimuth = (np.arange(width) + 0.5) / width * 2.0 * np.pi - np.pi
+    out = np.zeros((order, order, 3), complex)
+    for m in range(order):
+        # Over a pixel exp(-i m azimuth) is its value at the centre times sinc.
+        turned = np.exp(-1j * m * azimuth) * np.sinc(m / width)
+        rows = np.einsum("w,hwc->hc", turned, picture) * area[:, None]
+        for degree in range(m, order):
+            out[degree, m] = sph_harm_y(degree, m, polar, 0.0).real @ rows
+    return out
+
+
+def evaluated(coefficients: NDArray, direction: NDArray) -> NDArray:
+    """(..., 3) float64 value of coefficients (order, order, 3) in directions (..., 3); negative values may occur."""
+    out = np.zeros((*direction.shape[:-1], 3))
+    for degree, m, value in _basis(direction, len(coefficients)):
+        out += (1.0 if m == 0 else 2.0) * (value[..., None] * coefficients[degree, m]).real
+    return out
+
+
+def filtered_by_harmonics(cube: NDArray, normals: NDArray, alpha: float, order: int) -> NDArray:
+    """(..., 3) radiance filtered by the lobe, by harmonics of degrees below ``order``."""
+    coefficients = analysed(cube, order) * zonal_coefficients(alpha, order)[:, None, None]
+    return evaluated(coefficients, normals)
+
+
+def irradiance_nine(cube: NDArray) -> NDArray:
+    """(9, 3) coefficients of irradiance over pi as engines read it: of the real basis, in the order
+    1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2 with its usual constants, the clamped cosine multiplied in.
+
+    Sources: Ramamoorthi and Hanrahan 2001; Sloan 2008.
+    """
+    cube = resized(cube, min(_PROJECTION_SIZE, cube.shape[1]))
+    n = cube.shape[1]
+    weighted = (cube * solid_angles(n)[None, :, :, None]).reshape(-1, 3).astype(np.float64)
+    basis = nine_basis(directions(n).reshape(-1, 3))
+    # lambda of the clamped cosine over pi: 1, 2/3, 1/4.
+    return (basis.T @ weighted) * np.repeat([1.0, 2.0 / 3.0, 0.25], [1, 3, 5])[:, None]
+
+
+def nine_basis(direction: NDArray) -> NDArray:
+    """(..., 9) real spherical harmonics of degrees 0 to 2, in the order of ``irradiance_nine``."""
+    x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
+    rows = [
+        0.282095 * np.ones_like(x), 0.488603 * y, 0.488603 * z, 0.488603 * x, 1.092548 * x * y, 1.092548 * y * z,
+        0.315392 * (3.0 * z * z - 1.0), 1.092548 * x * z, 0.546274 * (x * x - y * y),
+    ]  # fmt: skip
+    return np.stack(rows, axis=-1)

@@ -1,0 +1,1 @@
+"""Compiled loops of the probes: geometry, trees, tables; they know arrays only."""

@@ -1,0 +1,52 @@
+"""Brute force: every texel of the source weighed by the lobe; the reference of everything else."""
+
+from __future__ import annotations
+
+from brdffit._jit import kernel
+
+
+@kernel
+def weigh_all(normals, alpha, source, first, last, out):
+    """Radiance (q, 3) filtered around normals first to last (q, 3).
+
+    ``source`` is (7, texels): unit direction, solid angle, radiance. K = (1 - d) / (alpha^2 + m d)^2 of d = 1 - n.l,
+    which comes from |n - l|^2 / 2, for 1 - n.l cancels near the peak.
+    """
+    square = alpha * alpha
+    m = 0.5 * (1.0 - square)
+    x, y, z, angle = source[0], source[1], source[2], source[3]
+    red, green, blue = source[4], source[5], source[6]
+    for q in range(first, last):
+        nx, ny, nz = normals[q, 0], normals[q, 1], normals[q, 2]
+        total, r, g, b = 0.0, 0.0, 0.0, 0.0
+        for t in range(x.shape[0]):
+            dx, dy, dz = x[t] - nx, y[t] - ny, z[t] - nz
+            far = 0.5 * (dx * dx + dy * dy + dz * dz)
+            p = square + m * far
+            weight = max(1.0 - far, 0.0) * angle[t] / (p * p)
+            total += weight
+            r += weight * red[t]
+            g += weight * green[t]
+            b += weight * blue[t]
+        out[q, 0], out[q, 1], out[q, 2] = r / total, g / total, b / total
+
+
+@kernel
+def add_points(normals, alpha, inverse_integral, points, first, last, out):
+    """Add what bright points (7, k: direction, solid angle, radiance) give to normals first to last."""
+    square = alpha * alpha
+    m = 0.5 * (1.0 - square)
+    for q in range(first, last):
+        nx, ny, nz = normals[q, 0], normals[q, 1], normals[q, 2]
+        r, g, b = 0.0, 0.0, 0.0
+        for t in range(points.shape[1]):
+            dx, dy, dz = points[0, t] - nx, points[1, t] - ny, points[2, t] - nz
+            far = 0.5 * (dx * dx + dy * dy + dz * dz)
+            p = square + m * far
+            weight = max(1.0 - far, 0.0) * points[3, t] / (p * p)
+            r += weight * points[4, t]
+            g += weight * points[5, t]
+            b += weight * points[6, t]
+        out[q, 0] += r * inverse_integral
+        out[q, 1] += g * inverse_integral
+        out[q, 2] += b * inverse_integral

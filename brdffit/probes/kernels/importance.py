@@ -1,0 +1,125 @@
+"""Importance sampling with a level for each sample (Krivanek and Colbert 2008; Manson and Sloan 2016, equation 4)."""
+
+from __future__ import annotations
+
+import math
+
+from brdffit._jit import inline, kernel
+from brdffit.probes.kernels.cube import bilinear_corner, face_of, face_point
+from brdffit.probes.kernels.pyramid import fold_level, pad_level
+from brdffit.probes.kernels.tables import level_between, splat
+
+
+@inline
+def tangents(nx, ny, nz):
+    """Two unit vectors across a unit normal."""
+    ux, uz = (0.0, 1.0) if abs(nz) < 0.999 else (1.0, 0.0)
+    tx, ty, tz = -uz * ny, uz * nx - ux * nz, ux * ny
+    scale = 1.0 / math.sqrt(tx * tx + ty * ty + tz * tz)
+    tx, ty, tz = tx * scale, ty * scale, tz * scale
+    return tx, ty, tz, ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+
+
+@inline
+def sample_at(samples, k, frame, nx, ny, nz, texel_area):
+    """Face, u, v and level of detail of sample k: x, y, z in the frame of the normal and its solid angle."""
+    tx, ty, tz, bx, by, bz = frame
+    x = tx * samples[k, 0] + bx * samples[k, 1] + nx * samples[k, 2]
+    y = ty * samples[k, 0] + by * samples[k, 1] + ny * samples[k, 2]
+    z = tz * samples[k, 0] + bz * samples[k, 1] + nz * samples[k, 2]
+    face, u, v = face_of(x, y, z)
+    # A texel's solid angle is texel_area J, J = (1 + u^2 + v^2)^(-3/2).
+    level = 0.5 * math.log2(samples[k, 3] / texel_area) + 0.75 * math.log2(1.0 + u * u + v * v)
+    return face, u, v, level
+
+
+@kernel
+def importance_errors(samples, texels, wanted, flat, offsets, sizes, borders, errors):
+    """L1 distance of the preimage of each texel (T, 3: face, u, v) from ``wanted``, over a chain of plain means."""
+    last, n = len(sizes) - 1, sizes[0]
+    for q in range(texels.shape[0]):
+        px, py, pz = face_point(int(texels[q, 0]), texels[q, 1], texels[q, 2])
+        scale = 1.0 / math.sqrt(px * px + py * py + pz * pz)
+        nx, ny, nz = px * scale, py * scale, pz * scale
+        frame = tangents(nx, ny, nz)
+        flat[:] = 0.0
+        total = 0.0
+        for k in range(samples.shape[0]):
+            weight = samples[k, 2]
+            face, u, v, level = sample_at(samples, k, frame, nx, ny, nz, 4.0 / (n * n))
+            below, share = level_between(level, 0, last)
+            splat(flat, offsets, sizes, face, u, v, below, weight * (1.0 - share))
+            splat(flat, offsets, sizes, face, u, v, below + 1, weight * share)
+            total += weight
+        for level in range(last, -1, -1):
+            edge, edge_source, corner, corner_source = borders[level]
+            fold_level(flat, offsets[level], edge, edge_source, corner, corner_source)
+            if level == 0:
+                break
+            m = sizes[level]
+            for face in range(6):
+                for j in range(2 * m):
+                    into = offsets[level - 1] + (face * (2 * m + 2) + j + 1) * (2 * m + 2) + 1
+                    row = offsets[level] + (face * (m + 2) + j // 2 + 1) * (m + 2) + 1
+                    for i in range(2 * m):
+                        flat[into + i] += 0.25 * flat[row + i // 2]
+        error = 0.0
+        for face in range(6):
+            for j in range(n):
+                at = offsets[0] + (face * (n + 2) + j + 1) * (n + 2) + 1
+                for i in range(n):
+                    error += abs(flat[at + i] / total - wanted[q, (face * n + j) * n + i])
+        errors[q] = error
+
+
+@kernel
+def box_pyramid(flat, offsets, sizes, borders):
+    """Fill all levels of a padded pyramid, whose level 0 is given, by plain means of four."""
+    for level in range(len(sizes)):
+        edge, edge_source, corner, corner_source = borders[level]
+        if level > 0:
+            m = sizes[level]
+            for face in range(6):
+                for j in range(m):
+                    into = offsets[level] + (face * (m + 2) + j + 1) * (m + 2) + 1
+                    row = offsets[level - 1] + (face * (2 * m + 2) + 2 * j + 1) * (2 * m + 2) + 1
+                    for i in range(m):
+                        at = row + 2 * i
+                        below = at + 2 * m + 2
+                        flat[into + i] = 0.25 * (flat[at] + flat[at + 1] + flat[below] + flat[below + 1])
+        pad_level(flat, offsets[level], edge, edge_source, corner, corner_source)
+
+
+@kernel
+def filter_by_importance(samples, n, first, last, pyramids, offsets, sizes, out):
+    """Texels of rows first to last (over all faces) of a level (6, n, n, 3) from flat pyramids (3, ...)."""
+    area = 4.0 / (sizes[0] * sizes[0])
+    for line in range(first, last):
+        face, j = line // n, line % n
+        for i in range(n):
+            px, py, pz = face_point(face, (2.0 * i + 1.0) / n - 1.0, 1.0 - (2.0 * j + 1.0) / n)
+            scale = 1.0 / math.sqrt(px * px + py * py + pz * pz)
+            nx, ny, nz = px * scale, py * scale, pz * scale
+            frame = tangents(nx, ny, nz)
+            red, green, blue, total = 0.0, 0.0, 0.0, 0.0
+            for k in range(samples.shape[0]):
+                weight = samples[k, 2]
+                g, u, v, level = sample_at(samples, k, frame, nx, ny, nz, area)
+                below, share = level_between(level, 0, len(sizes) - 1)
+                total += weight
+                for e in range(2):
+                    part = weight * (share if e else 1.0 - share)
+                    m = sizes[below + e]
+                    column, row, right, down = bilinear_corner(u, v, m)
+                    at = offsets[below + e] + (g * (m + 2) + row) * (m + 2) + column
+                    w00, w01 = part * (1.0 - right) * (1.0 - down), part * right * (1.0 - down)
+                    w10, w11 = part * (1.0 - right) * down, part * right * down
+                    p = pyramids[0]
+                    red += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+                    p = pyramids[1]
+                    green += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+                    p = pyramids[2]
+                    blue += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+            out[face, j, i, 0] = red / total
+            out[face, j, i, 1] = green / total
+            out[face, j, i, 2] = blue / total

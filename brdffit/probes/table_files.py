@@ -1,0 +1,141 @@
+"""Tables on disk: JSON with what they are for, how they were made and what each level errs by; made level by level."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError, UnknownNameError
+from brdffit.files.atomic import write_text
+from brdffit.probes.curves import get_curve
+from brdffit.probes.table_fit import LevelSearch, TableRequest
+from brdffit.probes.tables import BASE_SIZE
+
+_SHIPPED = Path(__file__).parent / "data"
+#: Levels of a table: 128^2 to 2^2, of which level 0 is copied.
+LEVELS = 7
+#: Size of the cube of irradiance that its table is for.
+IRRADIANCE_SIZE = 16
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """A table with its origin.
+
+    Attributes:
+        name: as "ggx-const-8".
+        curve: name of the roughness curve that it is valid for; "irradiance" for the clamped cosine.
+        levels: table (5, terms, 3 taps) of each level; None where there is none.
+        sizes: texels along a face of each level with a table.
+        errors: mean L1 of the preimage on held-out texels, of each level with a table.
+        record: everything the file says besides.
+    """
+
+    name: str
+    curve: str
+    levels: list[NDArray | None]
+    sizes: dict[int, int]
+    errors: dict[int, float]
+    record: dict
+
+
+def shipped_tables() -> list[str]:
+    """Names of the tables that come with the program."""
+    return sorted(path.stem for path in _SHIPPED.glob("*.json"))
+
+
+def load_table(name_or_path: str | Path) -> TableFile:
+    """A shipped table by its name, or one from a file.
+
+    Raises:
+        UnknownNameError: when no table has that name.
+        InputError: when the file cannot be read or is none.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".json":
+        if str(name_or_path) not in shipped_tables():
+            raise UnknownNameError("table", str(name_or_path), shipped_tables())
+        path = _SHIPPED / f"{name_or_path}.json"
+    return _parsed(path, _read(path))
+
+
+def _read(path: Path) -> dict:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"'{path}' cannot be read as a table ({error}).") from error
+    if not isinstance(record, dict) or "levels" not in record or "taps" not in record:
+        raise InputError(f"'{path}' is no table of `brdffit probe table`: it has no levels.")
+    return record
+
+
+def _parsed(path: Path, record: dict) -> TableFile:
+    levels: list[NDArray | None] = [None] * LEVELS
+    sizes, errors = {}, {}
+    for each in record["levels"]:
+        levels[each["level"]] = np.array(each["table"])
+        sizes[each["level"]], errors[each["level"]] = each["size"], each["error"]
+    return TableFile(
+        path.stem, record["curve"], levels, sizes, errors, {k: v for k, v in record.items() if k != "levels"}
+    )
+
+
+def make_table(
+    output: Path, request: TableRequest, curve: str, command: str, begin_with: list[TableFile] | None = None,
+    listener: Callable[[str], None] | None = None,
+) -> TableFile:  # fmt: skip
+    """Fit the levels of a table, writing ``output`` after each; a file of the same request is gone on with.
+
+    Args:
+        output: a .json file.
+        request: taps, terms and effort.
+        curve: a roughness curve for 7 levels, or "irradiance".
+        command: told in the file.
+        begin_with: tables with as many taps and as few or fewer terms, to start from besides.
+        listener: told of each step.
+
+    Raises:
+        InputError: when ``output`` holds another table.
+    """
+    asked = {**asdict(request), "curve": curve, "base_size": BASE_SIZE}
+    record = {**asked, "command": command, "versions": {n: version(n) for n in ("brdffit", "numpy", "scipy")}}
+    done: list[dict] = []
+    if output.exists():
+        old = _read(output)
+        if any(old.get(key) != value for key, value in asked.items()):
+            raise InputError(f"'{output}' holds a table that was asked for otherwise: move it away or name another.")
+        done = old["levels"]
+    if curve == "irradiance":
+        goals = {3: (IRRADIANCE_SIZE, 1.0)}
+    else:
+        alphas = get_curve(curve, LEVELS, BASE_SIZE).alphas()
+        goals = {level: (BASE_SIZE >> level, alphas[level]) for level in range(1, LEVELS)}
+    # Small levels first: they take seconds and tell whether all is well.
+    for level in sorted(goals, reverse=True):
+        if any(each["level"] == level for each in done):
+            continue
+        n, alpha = goals[level]
+        given = [table.levels[level] for table in begin_with or []]
+        begin = [table for table in given if table is not None and table.shape[2] == 3 * request.taps]
+        found = LevelSearch(n, alpha, request, begin, listener).run()
+        done.append(
+            {
+                "level": level,
+                "size": n,
+                "alpha": alpha,
+                "error": round(found.error, 5),
+                "seconds": round(found.seconds, 1),
+                "history": found.history,
+                "table": np.round(found.table, 6).tolist(),
+            }
+        )
+        write_text(output, json.dumps({**record, "levels": done}, indent=None, separators=(",", ":")) + "\n")
+        if listener:
+            listener(f"level {level} done: {found.error:.4f} on held-out texels, {found.seconds:.0f} s")
+    return _parsed(output, _read(output))

@@ -1,0 +1,128 @@
+"""Tables of the second pass (Manson and Sloan 2016, sections 5 and 6): their error, and filtering with them.
+
+Their error is that of the preimage: integral over the sphere of |A - B|, both kernels of unit integral, as in the
+paper's tables 1 to 3. B is K at the texel centres of a base of 128^2 times the exact solid angles, brought to unit sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.probes.cubemap import directions, face_points, solid_angles
+from brdffit.probes.downsampling import Layout
+from brdffit.probes.kernels.tables import filter_by_table, table_error
+from brdffit.probes.lobe import lobe
+from brdffit.probes.parallel import over_rows
+
+#: Size of the base that tables are for, and the polynomial terms of each kind.
+BASE_SIZE = 128
+TERMS = {"const": 1, "quadratic": 3, "quartic": 6}
+
+
+@lru_cache(maxsize=4)
+def layout_of(base_size: int = BASE_SIZE) -> Layout:
+    """The layout of the intermediate pyramid."""
+    return Layout(base_size)
+
+
+def texels_of(n: int) -> NDArray:
+    """(6 n^2, 3) face, u and v of all texels of a level of n^2."""
+    face, j, i = np.meshgrid(np.arange(6), np.arange(n), np.arange(n), indexing="ij")
+    return np.stack([face.ravel(), (2.0 * i.ravel() + 1.0) / n - 1.0, 1.0 - (2.0 * j.ravel() + 1.0) / n], axis=-1)
+
+
+def texel_directions(texels: NDArray) -> NDArray:
+    """(T, 3) unit directions of texels given as face, u and v."""
+    points = face_points(texels[:, 1], texels[:, 2])[texels[:, 0].astype(int), np.arange(len(texels))]
+    return points / np.linalg.norm(points, axis=-1, keepdims=True)
+
+
+def wanted_preimages(texels: NDArray, alpha: float, n: int) -> NDArray:
+    """(T, 6 n^2) float32 exact weight of each texel of a base of n^2 in the filtered texels; rows sum to one.
+
+    At alpha = 1 the lobe is the clamped cosine: irradiance.
+    """
+    at, angle = directions(n).reshape(-1, 3), np.tile(solid_angles(n).ravel(), 6)
+    out = np.empty((len(texels), len(at)), np.float32)
+    for q, normal in enumerate(texel_directions(texels)):
+        # 1 - n.l = |n - l|^2 / 2 keeps its digits where the lobe is narrow.
+        far = 0.5 * np.square(at - normal).sum(axis=1)
+        kernel = lobe(far, alpha) * angle
+        out[q] = kernel / kernel.sum()
+    return out
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Texels of a level with their exact preimages: what a table of that level is measured on.
+
+    Attributes:
+        texels: (T, 3) face, u, v.
+        shares: (T,) weights that sum to one.
+        wanted: (T, 6 n^2) exact preimages at level ``base`` of the pyramid.
+        base: level of the pyramid that preimages are compared at; 0 but for searches among rough levels.
+    """
+
+    texels: NDArray
+    shares: NDArray
+    wanted: NDArray
+    base: int = 0
+
+    @classmethod
+    def of(cls, texels: NDArray, alpha: float, shares: NDArray | None = None, base: int = 0) -> Goal:
+        """Preimages of the lobe of ``alpha`` at these texels."""
+        shares = np.full(len(texels), 1.0) if shares is None else np.asarray(shares, np.float64)
+        return cls(texels, shares / shares.sum(), wanted_preimages(texels, alpha, BASE_SIZE >> base), base)
+
+    def error(self, table: NDArray, smoothing: float = 0.0) -> float:
+        """Mean error of a table (5, terms, 3 N)."""
+        return self._measure(table, smoothing, False)[0]
+
+    def error_and_gradient(self, table: NDArray, smoothing: float) -> tuple[float, NDArray]:
+        """Mean smoothed error and its gradient, in the shape of the table."""
+        error, gradient, _ = self._measure(table, smoothing, True)
+        return error, gradient
+
+    def errors(self, table: NDArray) -> NDArray:
+        """(T,) error of each texel."""
+        return self._measure(table, 0.0, False)[2]
+
+    def _measure(self, table: NDArray, smoothing: float, with_gradient: bool) -> tuple[float, NDArray, NDArray]:
+        table = np.ascontiguousarray(table, np.float64)
+        flat, gradient, errors = np.zeros(layout_of().offsets[-1]), np.zeros(table.shape), np.zeros(len(self.texels))
+        error = table_error(
+            table, self.texels, self.shares, self.wanted, smoothing, flat, _arrays(), self.base, with_gradient,
+            gradient, errors,
+        )  # fmt: skip
+        return float(error), gradient, errors
+
+
+@lru_cache(maxsize=1)
+def _arrays() -> tuple:
+    layout = layout_of()
+    return layout.offsets, layout.sizes, tuple(tuple(each) for each in layout.borders), layout.weights
+
+
+def filtered_by_table(cube: NDArray, tables: list[NDArray | None], threads: int = 1) -> list[NDArray | None]:
+    """Levels (6, n, n, 3) of a cube map (6, 128, 128, 3) by the table of each; None where there is no table."""
+    layout = layout_of()
+    pyramids = np.stack([layout.build(cube[..., channel]) for channel in range(3)])
+    out: list[NDArray | None] = []
+    for level, table in enumerate(tables):
+        if table is None:
+            out.append(None)
+            continue
+        n = BASE_SIZE >> level
+        cube_out = np.empty((6, n, n, 3), np.float32)
+        packed = np.ascontiguousarray(table)
+
+        def rows(first: int, last: int, n: int = n, packed: NDArray = packed, into: NDArray = cube_out) -> None:
+            filter_by_table(packed, n, first, last, pyramids, layout.offsets, layout.sizes, into)
+
+        over_rows(rows, 6 * n, threads)
+        out.append(cube_out)
+    return out
