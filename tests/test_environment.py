@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shading_oracle as shading
 
-from brdffit.render import scenes, shading
+from brdffit.render import scenes
 from brdffit.render.environment import Environment, procedural_environment
 from brdffit.render.lights import Lights
 from brdffit.render.pictures import render_appearance

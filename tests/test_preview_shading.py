@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shading_oracle as shading
 from export_support import random_svbrdf
 
 from brdffit.models import get_model, model_names
-from brdffit.render import shading
 from brdffit.roughness import tensor_from_log
 
 #: Midpoint rule of 400 x 400 directions on lobes of alpha 0.1 and above.

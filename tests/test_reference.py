@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shading_oracle as shading
 from export_support import random_svbrdf
 
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.files.image_io import write_mip_exr
 from brdffit.methods import BakeOptions, get_method, method_names
 from brdffit.models import model_names
-from brdffit.render import scenes, shading
+from brdffit.render import scenes
 from brdffit.render.lights import Lights
 from brdffit.render.pictures import render_appearance
 from brdffit.render.reference import pair_errors, render_halves, render_reference

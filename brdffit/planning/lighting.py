@@ -19,7 +19,7 @@ from brdffit.planning.description import PROCEDURAL, Light, SceneFile, Surface
 from brdffit.planning.reach import GRAZING, shown_turn
 from brdffit.render.environment import Environment
 from brdffit.render.lights import Lights
-from brdffit.render.shading import into_frame
+from brdffit.render.scenes import into_frame
 
 #: Different directions of an environment that are drawn from: as many as a map of 256 x 128 has pixels.
 _ENVIRONMENT_DIRECTIONS = 1 << 15

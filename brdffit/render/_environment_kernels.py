@@ -291,7 +291,7 @@ def environment_reference_rows(packed, level, roughness_kind, has_shape, tile, f
             last = min(first + BLOCK, samples)
             fill_block(
                 packed, level, roughness_kind, has_shape, tile, footprints[g], strata_x, strata_y, weight_x,
-                weight_y, first, last, half, keys[g], log_normalisation, scratch, block,
+                weight_y, first, last, half, keys[g], 0.0, log_normalisation, scratch, block,
             )  # fmt: skip
             for p in range(starts[g], starts[g + 1]):
                 light_from_all_around(
@@ -313,7 +313,7 @@ def environment_pyramid_rows(packed, levels, tile, centre, base_size, detail, pi
     directions = np.empty((DIRECTION_ROWS, BLOCK), np.float32)
     share = 1.0 / count
     for p in range(out.shape[0]):
-        sample_pyramid(packed, levels, tile, centre[p], base_size, detail[p], log_normalisation, scratch, single)
+        sample_pyramid(packed, levels, tile, centre[p], base_size, detail[p], 0.0, log_normalisation, scratch, single)
         for row in range(BLOCK_ROWS):
             weighted = row == RIM_WEIGHT or SPECULAR <= row < MATT + 3
             block[row, :count] = single[row, 0] * real(share) if weighted else single[row, 0]

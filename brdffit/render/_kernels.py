@@ -141,11 +141,12 @@ def look_up(packed, level, column, row, tile, scale, out, i):
 
 
 @kernel
-def place_samples(texels, count, roughness_kind, weight, normalisation, block):
+def place_samples(texels, count, roughness_kind, widen, weight, normalisation, block):
     """Write interpolated texels (count, PACKED) into the columns of a block: unit normals, tensors with their inverses.
 
-    ``weight`` and ``normalisation`` (count,) are of the filter and of the lobe. Tensors are inverted in double
-    precision, by their eigenvalues where the logarithm is stored.
+    ``weight`` and ``normalisation`` (count,) are of the filter and of the lobe. ``widen`` is added to alpha^2 along
+    every axis: what the size of a light does to a lobe. Tensors are inverted in double precision, by their eigenvalues
+    where the logarithm is stored.
     """
     for i in range(count):
         x, y, z = texels[i, 0], texels[i, 1], texels[i, 2]
@@ -167,7 +168,7 @@ def place_samples(texels, count, roughness_kind, weight, normalisation, block):
     if roughness_kind == PERCEPTUAL:
         for i in range(count):
             alpha = texels[i, P_ROUGHNESS] * texels[i, P_ROUGHNESS]
-            square = alpha * alpha
+            square = alpha * alpha + real(widen)
             inverse = real(1.0) / square
             block[INVERSE, i], block[INVERSE + 1, i], block[INVERSE + 2, i] = inverse, inverse, real(0.0)
             block[TENSOR, i], block[TENSOR + 1, i], block[TENSOR + 2, i] = square, square, real(0.0)
@@ -178,13 +179,14 @@ def place_samples(texels, count, roughness_kind, weight, normalisation, block):
         a, b, c = float(texels[i, P_ROUGHNESS]), float(texels[i, P_ROUGHNESS + 1]), float(texels[i, P_ROUGHNESS + 2])
         if roughness_kind == LOG_TENSOR:
             l1, l2, cos, sin = eigen_log(a, b, c)
-            e1, e2 = math.exp(l1), math.exp(l2)
+            e1, e2 = math.exp(l1) + widen, math.exp(l2) + widen
             root = math.sqrt(e1 * e2)
             xx, yy, xy = cos * cos * e1 + sin * sin * e2, sin * sin * e1 + cos * cos * e2, cos * sin * (e1 - e2)
             e1, e2 = 1.0 / e1, 1.0 / e2
             ixx, iyy, ixy = cos * cos * e1 + sin * sin * e2, sin * sin * e1 + cos * cos * e2, cos * sin * (e1 - e2)
         else:
             # Rounding of the stored entries can make a very eccentric tensor indefinite.
+            a, b = a + widen, b + widen
             determinant = max(a * b - c * c, max(1e-12 * a * b, 1e-30))
             root = math.sqrt(determinant)
             xx, yy, xy = a, b, c
@@ -197,7 +199,7 @@ def place_samples(texels, count, roughness_kind, weight, normalisation, block):
 
 @kernel
 def fill_block(packed, level, roughness_kind, has_shape, tile, footprint, strata_x, strata_y, weight_x, weight_y,
-               first, last, half, key, log_normalisation, scratch, block):  # fmt: skip
+               first, last, half, key, widen, log_normalisation, scratch, block):  # fmt: skip
     """Fill columns 0 ... last - first - 1 of a block with one sample for each stratum first ... last - 1.
 
     ``footprint`` (6,): centre, axes row by row. ``strata_x`` and ``strata_y`` are lower ends of the strata in pixels
@@ -223,7 +225,7 @@ def fill_block(packed, level, roughness_kind, has_shape, tile, footprint, strata
         normalisation[i] = usual
         if has_shape:
             normalisation[i] = math.exp(log_normalisation(float(texels[i, P_SHAPE]))[0])
-    place_samples(texels, last - first, roughness_kind, weight, normalisation, block)
+    place_samples(texels, last - first, roughness_kind, widen, weight, normalisation, block)
 
 
 @inline
@@ -234,11 +236,12 @@ def make_scratch(columns):
 
 @kernel
 def reference_rows(packed, level, roughness_kind, has_shape, tile, footprints, starts, keys, view, frame, light,
-                   irradiance, strata_x, strata_y, weight_x, weight_y, half, out, log_normalisation,
+                   irradiance, widen, strata_x, strata_y, weight_x, weight_y, half, out, log_normalisation,
                    shade):  # fmt: skip
     """Radiance of the pixels of some footprints: those of footprint g are starts[g] ... starts[g + 1] - 1.
 
     ``footprints`` (G, 6): centre, axes row by row. ``view`` (P, 3), ``frame`` (P, 3, 3), ``out`` (P, 3) float64.
+    ``widen``: see ``place_samples``.
     """
     block = np.empty((BLOCK_ROWS, BLOCK), np.float32)
     scratch = make_scratch(BLOCK)
@@ -249,7 +252,7 @@ def reference_rows(packed, level, roughness_kind, has_shape, tile, footprints, s
             last = min(first + BLOCK, samples)
             fill_block(
                 packed, level, roughness_kind, has_shape, tile, footprints[g], strata_x, strata_y, weight_x,
-                weight_y, first, last, half, keys[g], log_normalisation, scratch, block,
+                weight_y, first, last, half, keys[g], widen, log_normalisation, scratch, block,
             )  # fmt: skip
             for p in range(starts[g], starts[g + 1]):
                 for k in range(3):
@@ -272,7 +275,7 @@ def light_pixel(block, count, v, frame, light, irradiance, towards, sums, out, s
 
 
 @kernel
-def sample_pyramid(packed, levels, tile, centre, base_size, detail, log_normalisation, scratch, block):
+def sample_pyramid(packed, levels, tile, centre, base_size, detail, widen, log_normalisation, scratch, block):
     """Write the trilinear value of a pyramid at ``centre`` (2,) in base texels into column 0 of a block.
 
     ``levels`` (L, 3): of each level, see ``look_up``; ``base_size``: (width, height); ``detail``: continuous level.
@@ -290,17 +293,17 @@ def sample_pyramid(packed, levels, tile, centre, base_size, detail, log_normalis
             column, row = centre[0] * level[2] / base_size[0], centre[1] * level[1] / base_size[1]
             look_up(packed, level, column, row, tile, scale, texels, 0)
     weight[0], normalisation[0] = 1.0, math.exp(log_normalisation(float(texels[0, P_SHAPE]))[0])
-    place_samples(texels, 1, PLAIN_TENSOR, weight, normalisation, block)
+    place_samples(texels, 1, PLAIN_TENSOR, widen, weight, normalisation, block)
 
 
 @kernel
-def pyramid_rows(packed, levels, tile, centre, base_size, detail, view, frame, light, irradiance, out,
+def pyramid_rows(packed, levels, tile, centre, base_size, detail, view, frame, light, irradiance, widen, out,
                  log_normalisation, shade):  # fmt: skip
     """Radiance of pixels shaded once, each with the trilinear value of a pyramid. Arrays as in ``reference_rows``."""
     block, scratch = np.empty((BLOCK_ROWS, 1), np.float32), make_scratch(1)
     v, towards, sums = np.empty(3), np.empty(3), np.empty(3)
     for p in range(out.shape[0]):
-        sample_pyramid(packed, levels, tile, centre[p], base_size, detail[p], log_normalisation, scratch, block)
+        sample_pyramid(packed, levels, tile, centre[p], base_size, detail[p], widen, log_normalisation, scratch, block)
         for k in range(3):
             v[k] = view[p, k]
         light_pixel(block, 1, v, frame[p], light, irradiance, towards, sums, out[p], shade)
@@ -327,7 +330,7 @@ def pair_rows(packed, level, roughness_kind, has_shape, tile, footprints, keys, 
                 last = min(first + BLOCK, samples)
                 fill_block(
                     packed, level, roughness_kind, has_shape, tile, footprints[g], strata_x, strata_y, weight_x,
-                    weight_y, first, last, half, keys[g], log_normalisation, scratch, block,
+                    weight_y, first, last, half, keys[g], 0.0, log_normalisation, scratch, block,
                 )  # fmt: skip
                 for pair in range(pairs):
                     shade(block, last - first, view[g, pair], light[g, pair], truth[half, pair])

@@ -121,7 +121,7 @@ def reference_loop() -> Any:
     """``reference_rows``."""
     return _driver(
         _kernels.reference_rows, _TEXELS, _LEVEL, 0, False, False, _IMAGE, _INDEX, _INDEX, _IMAGE, _IMAGE[None], _IMAGE,
-        _IMAGE, _LINE, _LINE, _LINE, _LINE, 0, _IMAGE,
+        _IMAGE, 0.0, _LINE, _LINE, _LINE, _LINE, 0, _IMAGE,
     )  # fmt: skip
 
 
@@ -130,7 +130,7 @@ def pyramid_loop() -> Any:
     """``pyramid_rows``."""
     return _driver(
         _kernels.pyramid_rows, _TEXELS, _LEVEL[None], False, _IMAGE, _LINE, _LINE, _IMAGE, _IMAGE[None], _IMAGE, _IMAGE,
-        _IMAGE,
+        0.0, _IMAGE,
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from brdffit.render.sampling import R2, lobe_rows
 #: Share of samples that follows no luminance, and samples in the table.
 _EVENLY, _TABLE = 1e-3, 1 << 15
 #: Size in radians of the pixels that diffuse light is summed over, and planes that are done at a time.
-_COARSE, _FRAMES = 0.06, 1024
+_COARSE, _FRAMES = 0.12, 1024
 
 
 @dataclass(frozen=True)
@@ -144,33 +144,36 @@ class Environment:
         low = 0.0 if clips else -1.0
         t, weight = np.polynomial.legendre.leggauss(64)
         t, weight = low + 0.5 * (1.0 - low) * (t + 1.0), 0.5 * (1.0 - low) * weight
+        scale = []
+        for k in (0, 1):
+            kernel = (t if cosine else np.ones_like(t)) * ((1.0 - np.maximum(t, 0.0)) ** 5 if k else 1.0) / math.pi
+            degrees = [2.0 * math.pi * float(np.sum(weight * kernel * p)) for p in (1.0, t, 1.5 * t * t - 0.5)]
+            scale.append(np.repeat(degrees, (1, 3, 5)) / squared_norm)
         out = np.zeros((len(up), 2, 9, 3), np.float32)
         for first in range(0, len(up), _FRAMES):
             part = slice(first, first + _FRAMES)
-            height = up[part] @ direction.T
-            # A pixel of the picture that the plane cuts counts by its share.
-            seen = np.clip(height / (2.0 * _COARSE) + 0.5, 0.0, 1.0)
+            height = up[part].astype(np.float32) @ direction.T
+            # A block of the picture that the plane cuts counts by its share.
+            seen = np.clip(height / np.float32(_COARSE) + np.float32(0.5), 0.0, 1.0)
             projected = (seen @ projector).reshape(-1, 9, 3)
             of_plane = _quadratic_basis(up[part])
+            seen *= np.float32(1.0 / math.pi)
+            if cosine:
+                seen *= np.maximum(height, 0.0)
             for k in range(2 if fresnel else 1):
-
-                def kernel(t: NDArray, k: int = k) -> NDArray:
-                    weight = (1.0 - np.clip(t, 0.0, 1.0)) ** 5 if k else 1.0
-                    return (t if cosine else np.ones_like(t)) * weight / math.pi
-
-                degrees = [2.0 * math.pi * float(np.sum(weight * kernel(t) * p)) for p in (1.0, t, 1.5 * t * t - 0.5)]
-                scale = np.repeat(degrees, (1, 3, 5)) / squared_norm
-                found = scale[:, None] * projected
-                exact = (seen * kernel(np.maximum(height, 0.0))) @ light
-                found[:, 0] += exact - np.einsum("pk,pkc->pc", of_plane, found)
+                found = scale[k][:, None] * projected
+                if k:
+                    grazing = np.clip(np.float32(1.0) - height, 0.0, 1.0)
+                    seen *= np.square(np.square(grazing)) * grazing
+                found[:, 0] += seen @ light - np.einsum("pk,pkc->pc", of_plane, found)
                 out[part, k] = found
         return out
 
     @cached_property
     def _coarse(self) -> tuple[NDArray, NDArray]:
-        """Directions (m, 3) and radiance times solid angle (m, 3) of a picture that is coarse enough for diffuse light.
+        """Directions (m, 3) and radiance times solid angle (m, 3), float32, as coarse as diffuse light allows.
 
-        Blocks of whole pixels, with the direction that their light has on average over the block's area.
+        Blocks of whole pixels, each in the mean direction that its light comes from.
         """
         height, width = self.radiance.shape[:2]
         step = max(1, round(height * _COARSE / math.pi)), max(1, round(width * _COARSE / (2.0 * math.pi)))
@@ -186,9 +189,10 @@ class Environment:
             rows = np.add.reduceat(values, starts[0], axis=0)
             return np.add.reduceat(rows, starts[1], axis=1).reshape(-1, values.shape[2])
 
-        direction = summed(towards * area)
+        luminance = self.radiance.astype(np.float64) @ LUMINANCE + 1e-30
+        direction = summed(towards * area * luminance[..., None])
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        return direction, summed(self.radiance * area)
+        return direction.astype(np.float32), summed(self.radiance * area).astype(np.float32)
 
 
 def _quadratic_basis(direction: NDArray) -> NDArray:

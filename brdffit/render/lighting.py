@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.methods import one_of
 from brdffit.render import lights as light_sets
 from brdffit.render._packing import environment_kernels, shading_kernels
 from brdffit.render.environment import Environment
@@ -20,22 +21,38 @@ from brdffit.render.terms import Terms
 _NO_HARMONICS = np.zeros((1, 2, 9, 3), np.float32)
 
 
+#: How lamps are drawn: by directions in their discs, or as points under lobes that are as much wider.
+LAMPS = ("sampled", "widened")
+#: A disc of angular radius r moves the half vector within r / 2; of all GGX lobes, scale held, one whose alpha^2 is
+#: larger by this times (r / 2)^2 is nearest to a GGX lobe that it blurs (0.75 at r / 2 = alpha / 4, 0.70 at 4 alpha).
+_WIDENING = 0.74
+
+
 class Lit(NamedTuple):
-    """What lights a picture and which terms of the BRDF are lit."""
+    """What lights a picture and which terms of the BRDF are lit; ``lamps`` is one of `LAMPS`."""
 
     lights: Lights | None
     environment: Environment | None
     terms: Terms
+    lamps: str
 
     @classmethod
-    def by(cls, lights: Lights | None, environment: Environment | None, terms: Terms) -> Lit:
+    def by(cls, lights: Lights | None, environment: Environment | None, terms: Terms, lamps: str = "sampled") -> Lit:
         """Lights, an environment, or both; the few small lights where neither is given."""
-        return cls(light_sets.few() if lights is None and environment is None else lights, environment, terms)
+        lamps = one_of("way to draw lamps", lamps, LAMPS)
+        return cls(light_sets.few() if lights is None and environment is None else lights, environment, terms, lamps)
+
+    @property
+    def discs(self) -> Lights | None:
+        """The lights whose discs are sampled, or None."""
+        if self.lights is None or self.lamps == "widened" or not self.lights.radius.any():
+            return None
+        return self.lights.part(self.lights.radius > 0.0)
 
     @property
     def sampled(self) -> bool:
         """Whether directions of light are sampled: under an environment or lamps that have a size."""
-        return self.environment is not None or (self.lights is not None and bool(self.lights.radius.any()))
+        return self.environment is not None or self.discs is not None
 
 
 class Pass(NamedTuple):
@@ -46,7 +63,7 @@ class Pass(NamedTuple):
 
     loop: Any
     kernels: tuple[Any, ...]
-    data: tuple[NDArray, ...]
+    data: tuple[Any, ...]
     pixels: tuple[NDArray, ...]
     sampled: bool
 
@@ -67,32 +84,32 @@ def passes(
         key, view, frame: (P,), (P, 3) and (P, 3, 3) of the pixels.
         loop, sampling_loop: the drivers for directional lights, and for light that has a size.
     """
-    found = []
+    found: list[Pass] = []
     lights, terms = lit.lights, lit.terms
 
-    def add_directional(lights: Lights, terms: Terms) -> None:
-        data = lights.direction.astype(np.float64), lights.irradiance.astype(np.float64)
+    def add_directional(lights: Lights, terms: Terms, widen: float = 0.0) -> None:
+        data = lights.direction.astype(np.float64), lights.irradiance.astype(np.float64), widen
         found.append(Pass(loop(), shading_kernels(model, terms), data, (view, frame), False))
 
-    if lights is not None:
-        points, lamps = lights.part(lights.radius == 0.0), lights.part(lights.radius > 0.0)
-        if points is not None:
-            add_directional(points, terms)
-        if lamps is not None:
-            if terms.diffuse:
-                add_directional(lamps, dataclasses.replace(terms, lobe=False))
-            which = np.zeros(len(key), np.int64)
-            kernels = environment_kernels(model, dataclasses.replace(terms, diffuse=False), lamps=True)
-            data = lamps.table, lamps.discs, _NO_HARMONICS
-            found.append(Pass(sampling_loop(), kernels, data, (key, which, view, frame), True))
+    for radius, alike in () if lights is None else lights.by_radius():
+        if radius == 0.0 or lit.lamps == "widened":
+            add_directional(alike, terms, _WIDENING * (0.5 * radius) ** 2)
+        elif terms.diffuse:
+            add_directional(alike, dataclasses.replace(terms, lobe=False))
+    discs = lit.discs
+    if discs is not None:
+        which = np.zeros(len(key), np.int64)
+        kernels = environment_kernels(model, dataclasses.replace(terms, diffuse=False), lamps=True)
+        data = discs.table, discs.discs, _NO_HARMONICS
+        found.append(Pass(sampling_loop(), kernels, data, (key, which, view, frame), True))
     if lit.environment is not None:
         turned = lit.environment.turned(frame)
         up, which = np.unique(np.round(turned[:, 2], 6), axis=0, return_inverse=True)
         harmonics = lit.environment.harmonics(up, terms.fresnel, terms.cosine, terms.clips)
-        data = lit.environment.table, lit.environment.picture, harmonics
+        around = lit.environment.table, lit.environment.picture, harmonics
         which = np.ascontiguousarray(which.reshape(-1), np.int64)
         pixels = key, which, view, turned
-        found.append(Pass(sampling_loop(), environment_kernels(model, terms), data, pixels, True))
+        found.append(Pass(sampling_loop(), environment_kernels(model, terms), around, pixels, True))
     return found
 
 

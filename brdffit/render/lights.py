@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -48,11 +49,14 @@ class Lights:
     def __len__(self) -> int:
         return len(self.direction)
 
-    def part(self, chosen: NDArray) -> Lights | None:
-        """Some of the lights, by an array of booleans (n,); None where there are none."""
-        if not chosen.any():
-            return None
+    def part(self, chosen: NDArray) -> Lights:
+        """Some of the lights, by an array of booleans (n,) of which one at least is true."""
         return Lights(self.direction[chosen], self.irradiance[chosen], self.radius[chosen])
+
+    def by_radius(self) -> Iterator[tuple[float, Lights]]:
+        """The lights of each angular radius, points first."""
+        for radius in np.unique(self.radius):
+            yield float(radius), self.part(self.radius == radius)
 
     def sized(self, radius: float) -> Lights:
         """The same lights with another angular radius."""

@@ -49,7 +49,8 @@ def snr_db(picture: NDArray, reference: NDArray) -> float:
 def snr_db_of_halves(picture: NDArray, halves: NDArray) -> float:
     """`snr_db` against a reference that is itself sampled: two independent halves A and B (2, h, w, 3) of it.
 
-    sum (P - A)(P - B) is the squared error and sum A B the power without the reference's noise, on average (that is how
+    The picture may be sampled too: two halves P and Q (2, h, w, 3), independent of each other and of the reference.
+    Then sum (P - A)(Q - B) is the squared error and sum A B the power without anybody's noise, on average (that is how
     Kemppinen's Noise2Noise loss gets by with noisy references); infinite where no error is left, or less than none.
     """
     error, power = _squares_of_halves(picture, halves)
@@ -183,12 +184,15 @@ def _squares(picture: NDArray, reference: NDArray) -> tuple[float, float]:
 
 
 def _squares_of_halves(picture: NDArray, halves: NDArray) -> tuple[float, float]:
-    """Sums of (P - A)(P - B) and of A B."""
-    if np.shape(halves) != (2, *np.shape(picture)):
-        raise ValueError(f"halves have shape {np.shape(halves)}, expected {(2, *np.shape(picture))}")
-    one, other = np.asarray(halves, np.float64)
-    own = np.asarray(picture, np.float64)
-    return float(np.sum((own - one) * (own - other))), float(np.sum(one * other))
+    """Sums of (P - A)(Q - B) and of A B; P and Q are one where the picture has no halves."""
+    halves, picture = np.asarray(halves, np.float64), np.asarray(picture, np.float64)
+    own = picture if picture.ndim == halves.ndim else np.broadcast_to(picture, (2, *picture.shape))
+    if halves.shape != own.shape or len(halves) != 2:
+        raise ValueError(f"halves have shape {halves.shape}, expected {own.shape}")
+    # Either half may be held against either of the other's: the mean of both ways is less noisy.
+    one, other = own - halves, own - halves[::-1]
+    error = 0.5 * float(np.sum(one[0] * one[1]) + np.sum(other[0] * other[1]))
+    return error, float(np.sum(halves[0] * halves[1]))
 
 
 def _flip(picture: NDArray, reference: NDArray, dynamic_range: str) -> float:

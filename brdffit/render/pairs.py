@@ -127,6 +127,6 @@ def _lobes(levels: Sequence[Svbrdf], columns: NDArray, rows: NDArray, log_normal
         texels[:, _kernels.P_SHAPE] = default if level.shape is None else level.shape[rows, columns]
         scale = np.array([math.exp(log_normalisation(float(s))[0]) for s in texels[:, _kernels.P_SHAPE]])
         block = np.zeros((_kernels.BLOCK_ROWS, len(columns)), np.float32)
-        _kernels.place_samples(texels, len(columns), _kernels.LOG_TENSOR, np.ones(len(columns)), scale, block)
+        _kernels.place_samples(texels, len(columns), _kernels.LOG_TENSOR, 0.0, np.ones(len(columns)), scale, block)
         out[:, m, :, 0] = block.T
     return out

@@ -46,6 +46,7 @@ def render_appearance(
     *,
     environment: Environment | None = None,
     terms: Terms = Terms(),  # noqa: B008
+    lamps: str = "sampled",
     threads: int | None = None,
 ) -> NDArray:
     """The picture of an appearance: linear radiance (h, w, 3) float32.
@@ -55,13 +56,15 @@ def render_appearance(
         scene: what the camera sees, of a base of the appearance's size.
         lights, environment: what lights it; the few small lights where neither is given.
         terms: terms of the BRDF that are lit; only a pyramid of lobes can leave some out.
+        lamps: how lights that have a size are drawn, "sampled" or "widened" (of a pyramid of lobes), see
+            ``render_halves``.
         threads: worker threads; None takes one a core. The picture does not depend on it.
 
     Raises:
         InputError: when the scene was made for a base of another size, or for terms that cannot be left out.
     """
     return render_appearance_halves(
-        appearance, scene, lights, environment=environment, terms=terms, threads=threads
+        appearance, scene, lights, environment=environment, terms=terms, lamps=lamps, threads=threads
     ).mean(axis=0)
 
 
@@ -72,6 +75,7 @@ def render_appearance_halves(
     *,
     environment: Environment | None = None,
     terms: Terms = Terms(),  # noqa: B008
+    lamps: str = "sampled",
     threads: int | None = None,
 ) -> NDArray:
     """Two independent estimates (2, h, w, 3) float32 that the picture is the mean of; equal under lights alone.
@@ -85,7 +89,7 @@ def render_appearance_halves(
         )
     pixels = Pixels(scene)
     detail = level_of_detail(scene)[pixels.rows, pixels.columns].astype(np.float64)
-    lit = Lit.by(lights, environment, terms)
+    lit = Lit.by(lights, environment, terms, lamps)
     if isinstance(appearance, LobePyramid):
         found = _draw_lobes(appearance, scene, pixels, detail, lit, threads)
     elif terms == Terms():
@@ -144,13 +148,13 @@ def _draw(appearance: Appearance, scene: Scene, pixels: Pixels, detail: NDArray,
         part = slice(first, first + _PIXELS)
         view, frame = pixels.view[part], pixels.frame[part]
         seen = Seen(appearance, appearance.look_up(lookups.part(part)), view)
-        if lit.lights is not None:
-            points, lamps = (lit.lights.part(chosen) for chosen in (lit.lights.radius == 0.0, lit.lights.radius > 0.0))
-            if points is not None:
-                found[:, part] += _under_points(seen, frame, points)
-            if lamps is not None:
-                for half in (0, 1):
-                    found[half, part] += _sampled(seen, frame, lamps, np.random.default_rng([half, first, 1]))
+        for radius, lights in () if lit.lights is None else lit.lights.by_radius():
+            if radius == 0.0:
+                found[:, part] += _under_points(seen, frame, lights)
+        if lit.discs is not None:
+            for half in (0, 1):
+                random = np.random.default_rng([half, first, 1])
+                found[half, part] += _sampled(seen, frame, lit.discs, random)
         if lit.environment is not None:
             turned = lit.environment.turned(frame)
             for half in (0, 1):

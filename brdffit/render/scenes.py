@@ -172,6 +172,17 @@ def level_of_detail(scene: Scene) -> NDArray:
     return np.log2(longest).astype(np.float32)
 
 
+def into_frame(vector: NDArray, normal: NDArray) -> NDArray:
+    """Vectors (..., 3) in the frame of unit normals (..., 3): the one that the shortest rotation of z to n carries.
+
+    R'w = (w_xy - k n_xy, n.w) with k = (w_xy.n_xy) / (1 + n_z) + w_z. (n_z = -1 has no shortest rotation.)
+    """
+    along = np.sum(vector[..., :2] * normal[..., :2], axis=-1)
+    k = along / np.maximum(1.0 + normal[..., 2], 1e-6) + vector[..., 2]
+    across = vector[..., :2] - k[..., None] * normal[..., :2]
+    return np.concatenate([across, (along + vector[..., 2] * normal[..., 2])[..., None]], axis=-1)
+
+
 def _pixel_grid(pixels: tuple[int, int], shift: tuple[float, float]) -> tuple[NDArray, NDArray]:
     """(x, y) of pixel centres, each (h, w) float64."""
     x, y = np.meshgrid(np.arange(pixels[1]) + 0.5 + shift[0], np.arange(pixels[0]) + 0.5 + shift[1])

@@ -1,4 +1,4 @@
-"""The whole BRDF in plain numpy: lobe, masking and shadowing, Fresnel, diffuse: one place for all that renders.
+"""The whole BRDF in plain numpy, written apart from the kernels that it checks: lobe, masking, Fresnel, diffuse.
 
 Vectors are (..., 3) and broadcast; directions point away from the surface. Results keep their three components apart
 in memory (planar), which is what makes their slices fast.

@@ -1,0 +1,111 @@
+"""The lit ball of preview and thumbnail: one studio for all, drawn by the same loops as every other picture.
+
+The texture is laid onto the ball from the front, one texel of a MIP level a pixel. What lies between texels and what a
+lobe is are the renderer's: a base is interpolated as the reference does it, a pyramid as an engine does it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.appearance import LobePyramid
+from brdffit.render import scenes
+from brdffit.render.lights import Lights
+from brdffit.render.pictures import Drawable, appearance_of, render_appearance_halves
+from brdffit.render.reference import render_halves
+from brdffit.render.scenes import Scene
+from brdffit.svbrdf import Svbrdf
+
+#: Base texels along a side that a ball shows; of a larger base a part is looked at, whatever its size.
+MOST_TEXELS = 1024
+#: Samples of a footprint in the reference: for each base texel, and at least and at most.
+_PER_TEXEL, _SAMPLES = 12, (48, 160)
+
+# Direction (x right, y up, z to the viewer), irradiance over pi, angular radius: a key lamp and a rim lamp, and for sky
+# and ground lamps so wide that they meet.
+_KEY, _WIDE = 0.19, 1.25
+_LAMPS = (
+    ((-0.55, 0.60, 0.58), (3.2, 3.1, 2.9), _KEY),
+    ((0.85, -0.05, 0.30), (0.9, 1.1, 1.4), _KEY),
+    ((0.00, 1.00, 0.35), (0.10, 0.10, 0.11), _WIDE),
+    ((-0.85, 0.30, 0.45), (0.07, 0.07, 0.075), _WIDE),
+    ((0.85, 0.30, 0.45), (0.07, 0.07, 0.075), _WIDE),
+    ((0.00, -0.90, 0.50), (0.045, 0.043, 0.040), _WIDE),
+)
+
+
+def studio() -> Lights:
+    """What lights the ball: two softboxes, and a sky and a floor of wide lamps."""
+    direction, irradiance, radius = zip(*_LAMPS, strict=True)
+    return Lights(np.array(direction), math.pi * np.array(irradiance), np.array(radius))
+
+
+class Part(NamedTuple):
+    """The part of a base that balls show: texels from ``first`` to ``first + extent``, of its ``size`` first ones.
+
+    Beyond it lie as many texels more as the coarsest level shown needs to interpolate, so that nothing is cut off.
+    """
+
+    first: int
+    extent: tuple[int, int]
+    size: tuple[int, int]
+
+    @classmethod
+    def of(cls, base_size: tuple[int, int], deepest: int) -> Part:
+        """All of a base, or of a large one whose levels are exact halves down to ``deepest`` a square."""
+        margin = 1 << deepest
+        fits = all(side % margin == 0 and side >= MOST_TEXELS + 2 * margin for side in base_size)
+        if not fits or MOST_TEXELS % margin:
+            return cls(0, base_size, base_size)
+        return cls(margin, (MOST_TEXELS, MOST_TEXELS), (MOST_TEXELS + 2 * margin,) * 2)
+
+    def crop(self, level: Svbrdf, mip_level: int, whole: tuple[int, int]) -> Svbrdf:
+        """A level of a base of the size ``whole``, of the part alone."""
+        if self.size == whole:
+            return level
+        height, width = (side >> mip_level for side in self.size)
+        arrays = {name: array[:height, :width] for name, array in level.arrays().items()}
+        return level.replace(**arrays, wrap="clamp")
+
+    def scene(self, base_size: tuple[int, int], mip_level: int, diameter: int) -> Scene:
+        """The ball at a level; where it shows more than the part, the part repeats."""
+        scene = scenes.sphere(base_size, mip_level, (diameter, diameter))
+        # Positions of whole pixels: a remainder must not turn 1024 - 1e-13 into another texel.
+        centre = self.first + np.round(scene.centre, 9) % np.array(self.extent[::-1], np.float64)
+        return dataclasses.replace(scene, centre=centre)
+
+
+def lit_ball(drawn: Drawable, mip_level: int, diameter: int, part: Part | None = None, *,
+             threads: int | None = None) -> NDArray:  # fmt: skip
+    """Two estimates (2, n, n, 3) float32 of the linear radiance of a ball that shows a level of an appearance."""
+    appearance = appearance_of(drawn)
+    size = appearance.base_size
+    part = part or Part.of(size, mip_level)
+    lamps = "sampled"
+    if isinstance(appearance, LobePyramid):
+        levels = appearance.levels[: mip_level + 1]
+        appearance = LobePyramid([part.crop(level, k, size) for k, level in enumerate(levels)])
+        lamps = "widened"
+    scene = part.scene(appearance.base_size, mip_level, diameter)
+    return render_appearance_halves(appearance, scene, studio(), lamps=lamps, threads=threads)
+
+
+def reference_ball(base: Svbrdf, mip_level: int, diameter: int, part: Part | None = None, *,
+                   threads: int | None = None) -> NDArray:  # fmt: skip
+    """The same by the reference: each pixel the mean of what the base reflects in its footprint."""
+    part = part or Part.of(base.size, mip_level)
+    scene = part.scene(part.size, mip_level, diameter)
+    samples = int(np.clip(_PER_TEXEL * 4**mip_level, *_SAMPLES))
+    cropped = part.crop(base, 0, base.size)
+    return render_halves(cropped, scene, studio(), lamps="widened", samples=samples, threads=threads).halves
+
+
+def over_background(radiance: NDArray, background: NDArray) -> NDArray:
+    """A ball (n, n, 3) with its soft rim on a ground (3,) of linear radiance."""
+    coverage = scenes.sphere((1, 1), 0, radiance.shape[:2]).coverage[..., None]
+    return radiance * coverage + background * (1.0 - coverage)
