@@ -1,0 +1,47 @@
+"""DDS files whose MIP levels are given: a writer that holds one level at a time.
+
+Source: DDS_HEADER and DDS_HEADER_DXT10 (Microsoft, Direct3D documentation). Always with the DX10 header, for the old
+one says nothing of sRGB; always with all levels, for Godot refuses a chain that stops short.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import BinaryIO
+
+from brdffit.export.formats import LevelData, PixelFormat, chain, checked
+
+_CAPS, _HEIGHT, _WIDTH, _PITCH, _PIXEL_FORMAT, _MIP_COUNT, _LINEAR_SIZE = 1, 2, 4, 8, 0x1000, 0x20000, 0x80000
+_COMPLEX, _TEXTURE, _MIPMAP = 0x8, 0x1000, 0x400000
+_FOURCC, _TEXTURE_2D = 0x4, 3
+
+
+def write_dds(file: BinaryIO, pixels: PixelFormat, size: tuple[int, int], levels: LevelData) -> None:
+    """Write a 2-D texture with all levels down to 1x1.
+
+    Args:
+        file: opened for writing in binary.
+        pixels: a format with a DXGI number.
+        size: (height, width) of level 0.
+        levels: data of a level by its number, rows from the top without padding; asked from the largest level on.
+
+    Raises:
+        ValueError: when a level has the wrong number of bytes, or the format has no DXGI number.
+        OSError: when the file cannot be written.
+    """
+    if pixels.dxgi is None:
+        raise ValueError(f"DDS has no {pixels.name}")
+    sizes = chain(size)
+    height, width = size
+    blocks = pixels.edge > 1
+    flags = _CAPS | _HEIGHT | _WIDTH | _PIXEL_FORMAT | (_LINEAR_SIZE if blocks else _PITCH)
+    caps = _TEXTURE
+    if len(sizes) > 1:
+        flags, caps = flags | _MIP_COUNT, caps | _COMPLEX | _MIPMAP
+    pitch = pixels.level_bytes(size) if blocks else width * pixels.block_bytes
+    file.write(struct.pack("<4s7I44x", b"DDS ", 124, flags, height, width, pitch, 0, len(sizes)))
+    file.write(struct.pack("<2I4s5I", 32, _FOURCC, b"DX10", 0, 0, 0, 0, 0))
+    file.write(struct.pack("<5I", caps, 0, 0, 0, 0))
+    file.write(struct.pack("<5I", pixels.dxgi, _TEXTURE_2D, 0, 1, 0))
+    for level in range(len(sizes)):
+        file.write(checked(pixels, sizes, levels, level))
