@@ -7,6 +7,7 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.colour import decode_srgb
 from brdffit.errors import InputError
 from brdffit.methods import one_of
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, log_tensor_from_perceptual
@@ -197,7 +198,7 @@ def _colour(texture_set: TextureSet, role: str) -> NDArray | None:
     pixels, _ = named.read()
     pixels = np.repeat(pixels[:, :, :1], 3, axis=2) if pixels.shape[2] < 3 else pixels[:, :, :3]
     is_linear = named.encoding == "linear" or (named.encoding == "" and named.info.is_float)
-    linear = np.maximum(pixels, 0.0) if is_linear else encoding.linear_from_srgb(pixels)
+    linear = np.maximum(pixels, 0.0) if is_linear else decode_srgb(pixels)
     return _enlarge(texture_set, linear)
 
 

@@ -15,11 +15,6 @@ ZERO_LENGTH = 0.02
 MIN_NORMAL_Z = 2.0 / 255.0
 
 
-def linear_from_srgb(encoded: NDArray) -> NDArray:
-    """Linear values of sRGB-encoded ones in [0, 1] (IEC 61966-2-1)."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32)
-
-
 def channel_index(channels: Sequence[str], asked: str, as_rgba: bool = False) -> int | None:
     """Index of channel "R", "G", "B" or "A" among those of an image; None where it has no such channel.
 

@@ -58,6 +58,12 @@ class Frame:
         return Frame.of(turn @ linear @ turn, turn @ (linear @ move + offset) + move)
 
     @property
+    def is_identity(self) -> bool:
+        """Whether it changes nothing, but for rounding."""
+        linear, offset = self.arrays
+        return bool(np.abs(linear - np.eye(2)).max() < 1e-9 and np.abs(offset).max() < 1e-9)
+
+    @property
     def is_integer(self) -> bool:
         """Whether A holds integers and is no flattening, so that what tiles still tiles after it."""
         linear, _ = self.arrays
@@ -84,8 +90,14 @@ def common_frame(frames: Sequence[Frame]) -> Frame | None:
 
 
 def size_in(frame: Frame, size: tuple[int, int]) -> tuple[int, int]:
-    """(height, width) at which a picture of ``size`` is read through ``frame`` without loss of detail."""
+    """(height, width) at which a picture of ``size`` is read through ``frame`` without loss of detail.
+
+    A picture that is not turned keeps its proportions, or it would go with no other map.
+    """
     linear = np.abs(np.rint(frame.arrays[0]))
+    if linear[0, 1] == 0.0 and linear[1, 0] == 0.0:
+        times = max(1, int(linear.max()))
+        return times * size[0], times * size[1]
     width = max(linear[0, 0] * size[1], linear[1, 0] * size[0])
     height = max(linear[1, 1] * size[0], linear[0, 1] * size[1])
     return max(1, int(height)), max(1, int(width))

@@ -85,15 +85,28 @@ def read_texture_set(
     check_sizes(texture_set, path)
     if "normal" in without and texture_set.maps:
         return texture_set
-    if "normal" not in texture_set.maps and "height" not in texture_set.maps:
-        found = ", ".join(f"{named.path.name} ({role})" for role, named in texture_set.maps.items()) or "no known role"
-        raise InputError(
-            f"'{path}' has no normal map and no height map (found: {found}), expected one of them; name it with an "
-            f"explicit role such as normal=FILE."
-        )
+    if not {"normal", "height"} & texture_set.maps.keys():
+        _without_surface(texture_set, path)
     if "normal" in texture_set.maps:
         settle_normal_y(texture_set, normal_y)
     return texture_set
+
+
+def _without_surface(texture_set: TextureSet, path: Path) -> None:
+    """A set without normal and height: a material file may well mean it so; of a folder it is refused."""
+    if texture_set.entry is not None and texture_set.maps:
+        texture_set.note(f"The material of '{texture_set.entry.name}' has no normal map: its surface is flat.")
+        return
+    if texture_set.entry is not None:
+        raise InputError(
+            f"'{path}' has no normal map and no height map, nor any other: its material is of constants alone. "
+            + " ".join(texture_set.notes)
+        )
+    found = ", ".join(f"{named.path.name} ({role})" for role, named in texture_set.maps.items()) or "no known role"
+    raise InputError(
+        f"'{path}' has no normal map and no height map (found: {found}), expected one of them; name it with an "
+        f"explicit role such as normal=FILE."
+    )
 
 
 def _find_maps(path: Path, roles: dict[str, str], material: str | None) -> TextureSet:

@@ -240,7 +240,7 @@ def _truncated_glb(maps, folder: Path) -> Path:
         ("a.glb", b"glTF", "is truncated"),
         ("a.glb", struct.pack("<4sII", b"glTF", 1, 12), "of version 1, expected version 2"),
         ("a.mtlx", b"<materialx", "is no MaterialX file: its XML cannot be read"),
-        ("a.mtlx", b"<svg/>", "is an XML file of <svg>, expected <materialx>"),
+        ("a.mtlx", b"<svg/>", "has no <materialx> element, expected a MaterialX"),
         ("a.mtlx", b"<materialx/>", "has no surface shader of standard_surface"),
         ("a.mtlx", b"<!DOCTYPE a [<!ENTITY b 'c'>]><materialx/>", "declares a document type"),
     ],
