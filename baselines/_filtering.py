@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.footprint import get_pixel_filter, iter_pyramid
-from brdffit.methods import BakeOptions, Level, Progress, Pyramid
+from brdffit.methods import Level, LobeMethod, Progress, Pyramid
 from brdffit.models import Model, get_model
+from brdffit.options import LobeOptions
 from brdffit.roughness import alpha_squared_from_perceptual, perceptual_from_log_tensor, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 
@@ -53,11 +54,9 @@ class LevelContext:
     least_alpha_squared: float
 
 
-class FilteringMethod:
+class FilteringMethod(LobeMethod):
     """A Method that filters channels and finishes each level by a closed form; subclasses say which."""
 
-    name: str
-    summary: str
     #: Whether the tool leaves level 0 as authored, whatever the options say.
     leaves_level_0 = False
 
@@ -87,7 +86,7 @@ class FilteringMethod:
             pass
         return normal, log_roughness
 
-    def bake(self, svbrdf: Svbrdf, options: BakeOptions, progress: Progress | None = None) -> Pyramid:
+    def bake_lobes(self, svbrdf: Svbrdf, options: LobeOptions, progress: Progress | None = None) -> Pyramid:
         """Bake ``svbrdf`` into a pyramid.
 
         Raises:
@@ -98,7 +97,7 @@ class FilteringMethod:
         with ThreadPoolExecutor(options.threads or os.cpu_count()) as pool:
             return self._bake(svbrdf, options, progress, pool)
 
-    def _bake(self, svbrdf: Svbrdf, options: BakeOptions, progress: Progress | None, pool: Executor) -> Pyramid:
+    def _bake(self, svbrdf: Svbrdf, options: LobeOptions, progress: Progress | None, pool: Executor) -> Pyramid:
         model, pixel_filter = get_model(options.model), get_pixel_filter(options.pixel_filter)
         started = time.perf_counter()
         notes: list[str] = []

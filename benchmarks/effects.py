@@ -29,8 +29,8 @@ from benchmarks.record import Section, Target
 from brdffit import _jit
 from brdffit.fitting import batch, method
 from brdffit.fitting.method import NonlinearFit
+from brdffit.fitting.options import FitOptions
 from brdffit.halfangle import objective, quadrature
-from brdffit.methods import BakeOptions
 from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.conversion import to_svbrdf
@@ -127,8 +127,8 @@ def _crop(svbrdf: Svbrdf, side: int) -> Svbrdf:
 
 
 def _bake(base: Svbrdf, levels: int = _LEVELS, **options: Any) -> Callable[[], object]:
-    asked = BakeOptions(levels=levels, threads=1, **options)
-    return lambda: NonlinearFit().bake(base, asked)
+    asked = FitOptions(levels=levels, threads=1, **options)
+    return lambda: NonlinearFit().bake_lobes(base, asked)
 
 
 def _of_data(base: Svbrdf) -> list[Row]:

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from benchmarks.materials import load_procedural
 from benchmarks.record import Section, Target
 from brdffit.fitting.batch import model_kernels
+from brdffit.fitting.options import FitOptions
 from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, gather_lobes
 from brdffit.halfangle.measure import dense_strata, lobe_parameters, measure_rows, random_texels, target_table
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOBE_COLUMNS, NODE_ROWS, SPECULAR, lattice
-from brdffit.methods import BakeOptions, get_method
+from brdffit.methods import get_method
 from brdffit.svbrdf import Svbrdf
 
 #: Standard errors within which chance must agree: four are beyond 1 in 15,000 a texel.
@@ -44,7 +45,7 @@ def measure_integrals(quick: bool) -> Section:
         "with its standard error), and the half-angle integral of the same footprint samples.",
     )
     svbrdf = load_procedural("hammered-metal", 256)
-    level = get_method("lean").bake(svbrdf, BakeOptions(levels=3))[2].svbrdf
+    level = get_method("lean").bake_lobes(svbrdf, FitOptions(levels=3))[2].svbrdf
     columns, rows = random_texels(level.size, 3 if quick else 8, seed=4)
     pairs = 400_000 if quick else 2_000_000
     for column, row in zip(columns, rows, strict=True):

@@ -11,7 +11,8 @@ from benchmarks.materials import accuracy_sets
 from benchmarks.record import ROOT, Section, Target
 from brdffit.errors import InputError
 from brdffit.fitting.method import NonlinearFit
-from brdffit.methods import BakeOptions
+from brdffit.fitting.options import FitOptions
+from brdffit.methods import Material
 from brdffit.planning.description import SceneFile, read_scene
 from brdffit.planning.surface import SurfaceWork
 from brdffit.textures.conversion import to_svbrdf
@@ -65,15 +66,15 @@ def _row(scene: SceneFile, name: str, whole: bool) -> dict[str, object]:
     planned = SurfaceWork(scene, scene.surfaces[0], 0).plan(lambda text: None)
     planning = time.perf_counter() - began
     work = SurfaceWork(scene, scene.surfaces[0], 1)
-    options = BakeOptions(**planned.options)
+    options = FitOptions(**planned.options)
     method = NonlinearFit()
     base = to_svbrdf(work.texture_set, without=planned.unread)
-    method.prepare(options.model, base.model, options)
-    seconds, pyramid = _timed(method, base, options)
-    _, lost = work.outcome(planned, pyramid, seconds)
+    method.prepare(Material(base), options)
+    seconds, baked = _timed(method, base, options)
+    _, lost = work.outcome(planned, baked, seconds)
     everything = None
     if whole:
-        on = BakeOptions(model=scene.model, quality=scene.quality, pixel_filter=scene.pixel_filter, refine=True)
+        on = FitOptions(model=scene.model, quality=scene.quality, pixel_filter=scene.pixel_filter, refine=True)
         everything, _ = _timed(method, to_svbrdf(work.texture_set), on)
     return {
         "set": name,
@@ -91,7 +92,7 @@ def _row(scene: SceneFile, name: str, whole: bool) -> dict[str, object]:
     }
 
 
-def _timed(method: NonlinearFit, base, options: BakeOptions):  # type: ignore[no-untyped-def]
+def _timed(method: NonlinearFit, base, options: FitOptions):  # type: ignore[no-untyped-def]
     start = time.perf_counter()
-    pyramid = method.bake(base, options)
-    return time.perf_counter() - start, pyramid
+    baked = method.bake(Material(base), options)
+    return time.perf_counter() - start, baked

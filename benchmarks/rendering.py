@@ -9,7 +9,8 @@ from pathlib import Path
 
 from benchmarks.materials import NAMED, load_any, real_sets
 from benchmarks.record import Section, Target
-from brdffit.methods import BakeOptions, get_method
+from brdffit.fitting.options import FitOptions
+from brdffit.methods import get_method
 from brdffit.render import scenes
 from brdffit.render.environment import procedural_environment
 from brdffit.render.pictures import render_appearance
@@ -60,7 +61,7 @@ def measure_rendering(materials: Path, quick: bool) -> Section:
 
 def _rows(name: str, svbrdf: Svbrdf, quick: bool) -> list[dict[str, object]]:
     """One row a scene and light; the shares of terms stand in the far one's."""
-    pyramid = get_method("lean").bake(svbrdf, BakeOptions())
+    pyramid = get_method("lean").bake_lobes(svbrdf, FitOptions())
     near, middle, far = (scenes.plane(svbrdf.size, min(k, len(pyramid) - 1), _PIXELS) for k in (0, 3, _FAR))
     shown = [(near, None), (middle, None), (far, None)]
     if not quick:

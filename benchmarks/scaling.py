@@ -12,7 +12,9 @@ from pathlib import Path
 
 from benchmarks.materials import load_procedural, tiled, write_tiled
 from benchmarks.record import ROOT, Section, Target
-from brdffit.methods import BakeOptions, get_method
+from brdffit.fitting.method import NonlinearFit
+from brdffit.fitting.options import FitOptions
+from brdffit.methods import Material
 from brdffit.textures.procedural import make_set
 
 FLATNESS, MEMORY_GIB = 0.20, 6.0
@@ -22,7 +24,7 @@ _LEVELS = 3
 
 _BAKE = """
 import json, resource, sys, time
-from brdffit.baking import bake_to_folder
+from brdffit.pipeline import bake_to_folder
 start = time.perf_counter()
 report = bake_to_folder(sys.argv[1], sys.argv[2], quality=sys.argv[3])
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
@@ -42,15 +44,15 @@ def measure_scaling(quick: bool) -> Section:
     )
     sides = (256, 512, 1024) if quick else (256, 512, 1024, 2048, 4096)
     base = load_procedural(_SET, _SMALLEST)
-    fit = get_method("bfgs")
-    fit.prepare("ggx")  # type: ignore[attr-defined]
+    fit = NonlinearFit()
+    fit.prepare(Material(base), FitOptions())
     for side in sides:
         svbrdf = tiled(base, side // _SMALLEST)
         runs = 3 if side <= 512 else 1
         seconds = []
         for _ in range(runs):
             start = time.perf_counter()
-            pyramid = fit.bake(svbrdf, BakeOptions(levels=_LEVELS))
+            pyramid = fit.bake_lobes(svbrdf, FitOptions(levels=_LEVELS))
             seconds.append(time.perf_counter() - start)
         texels = sum(level.svbrdf.size[0] * level.svbrdf.size[1] for level in pyramid.levels)
         section.rows.append(

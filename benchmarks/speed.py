@@ -8,7 +8,8 @@ from pathlib import Path
 
 from benchmarks.materials import NAMED, load_any, real_sets
 from benchmarks.record import Section, Target
-from brdffit.methods import BakeOptions, get_method
+from brdffit.fitting.options import FitOptions
+from brdffit.methods import Material, get_method
 from brdffit.svbrdf import Svbrdf
 
 FITS_A_SECOND, PYRAMID_SECONDS, LEAN_SECONDS = 250_000.0, 15.0, 0.5
@@ -26,12 +27,12 @@ def measure_speed(materials: Path, quick: bool) -> Section:
     sets: dict[str, Path | None] = {"hammered-metal": None}
     real = real_sets(materials)
     sets |= {name: real[name] for name in (NAMED[:2] if quick else NAMED) if name in real}
-    get_method("bfgs").prepare("ggx")  # type: ignore[attr-defined]
     for name, path in sets.items():
         svbrdf = load_any(name, path, _SIDE)
         if isinstance(svbrdf, str):
             section.problems.append(f"{name}: {svbrdf}")
             continue
+        get_method("bfgs").prepare(Material(svbrdf), FitOptions())
         qualities = ("standard",) if quick else ("draft", "standard", "fine")
         section.rows += [_row(name, svbrdf, quality, runs=3 if quick else 5) for quality in qualities]
     standard = [row for row in section.rows if row["quality"] == "standard"]
@@ -48,16 +49,16 @@ def measure_speed(materials: Path, quick: bool) -> Section:
 def _row(name: str, svbrdf: Svbrdf, quality: str, runs: int) -> dict[str, object]:
     fit, lean = get_method("bfgs"), get_method("lean")
     # Level 0 kept as authored costs nothing: what is left of two levels is level 1.
-    only_level_1 = BakeOptions(quality=quality, levels=2, keep_level_0=True)
+    only_level_1 = FitOptions(quality=quality, levels=2, keep_level_0=True)
     seconds = []
     for _ in range(runs):
-        level = fit.bake(svbrdf, only_level_1)[1]
+        level = fit.bake_lobes(svbrdf, only_level_1)[1]
         seconds.append(level.seconds)
     texels = level.svbrdf.size[0] * level.svbrdf.size[1]
-    lean.bake(svbrdf, BakeOptions())
-    lean_seconds = [_timed(lean, svbrdf, BakeOptions()) for _ in range(runs)]
+    lean.bake_lobes(svbrdf, FitOptions())
+    lean_seconds = [_timed(lean, svbrdf, FitOptions()) for _ in range(runs)]
     # A whole pyramid takes long enough to be timed once or twice.
-    pyramid_seconds = [_timed(fit, svbrdf, BakeOptions(quality=quality)) for _ in range(max(1, runs - 3))]
+    pyramid_seconds = [_timed(fit, svbrdf, FitOptions(quality=quality)) for _ in range(max(1, runs - 3))]
     whole, of_lean = statistics.median(pyramid_seconds), statistics.median(lean_seconds)
     assert level.evaluations is not None
     return {
@@ -72,9 +73,9 @@ def _row(name: str, svbrdf: Svbrdf, quality: str, runs: int) -> dict[str, object
     }
 
 
-def _timed(method, svbrdf: Svbrdf, options: BakeOptions) -> float:  # type: ignore[no-untyped-def]
+def _timed(method, svbrdf: Svbrdf, options: FitOptions) -> float:  # type: ignore[no-untyped-def]
     start = time.perf_counter()
-    method.bake(svbrdf, options)
+    method.bake_lobes(svbrdf, options)
     return time.perf_counter() - start
 
 

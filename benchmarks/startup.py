@@ -18,15 +18,16 @@ HELP_SECONDS, COMPILE_SECONDS, START_SECONDS = 0.5, 45.0, 2.0
 # The moment the first texel is fitted, on the clock that the parent reads too.
 _FIRST_TEXEL = """
 import sys, time
-from brdffit.methods import BakeOptions, get_method
+from brdffit.fitting.options import FitOptions
+from brdffit.methods import Material, get_method
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.reading import read_texture_set
 svbrdf = to_svbrdf(read_texture_set(sys.argv[1]))
 before = time.time()
 fit = get_method("bfgs")
-fit.prepare("ggx")
+fit.prepare(Material(svbrdf), FitOptions())
 after = time.time()
-fit.bake(svbrdf, BakeOptions(levels=1), lambda *_: sys.exit(f"{after - before} {time.time()}"))
+fit.bake_lobes(svbrdf, FitOptions(levels=1), lambda *_: sys.exit(f"{after - before} {time.time()}"))
 """
 
 

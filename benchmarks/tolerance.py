@@ -9,11 +9,11 @@ import numpy as np
 
 from benchmarks.materials import accuracy_sets, load_any
 from benchmarks.record import Section, Target
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.status import CLOSED_FORM, FLAT
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.measure import PERFECT_DB, random_texels, snr
-from brdffit.methods import BakeOptions
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 TOLERANCE = 0.1
@@ -52,7 +52,7 @@ def measure_tolerance(materials: Path, quick: bool) -> Section:
 
 def _row(name: str, svbrdf: Svbrdf) -> dict[str, object]:
     base = base_of(svbrdf)
-    ways = {"standard": BakeOptions(), "tolerance": BakeOptions(tolerance=TOLERANCE)}
+    ways = {"standard": FitOptions(), "tolerance": FitOptions(tolerance=TOLERANCE)}
     seconds, behind = dict.fromkeys(ways, 0.0), {way: [] for way in ways}  # type: ignore[var-annotated]
     closed = flat = 0.0
     for mip_level, size in enumerate(level_sizes(svbrdf.size, len(_TIMED))):

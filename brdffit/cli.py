@@ -86,8 +86,8 @@ def bake(
 
     SET is a folder of textures, or a .gltf, .glb or .mtlx file.
     """
-    from brdffit.baking import bake_to_folder
     from brdffit.console import BakeDisplay, print_report, show_picture
+    from brdffit.pipeline import bake_to_folder
 
     if (source is None) == (scene_file is None):
         raise click.UsageError("Give a texture set to bake, or --scene FILE to bake all that a scene calls for.")

@@ -24,8 +24,8 @@ from brdffit.files.image_io import read_image
 from brdffit.fitting.status import FALLBACK
 
 if TYPE_CHECKING:
-    from brdffit.baking import BakeReport
     from brdffit.doctor import Diagnosis
+    from brdffit.pipeline import BakeReport
     from brdffit.textures.inspection import Inspection
 
 _PHASES = {
@@ -85,16 +85,16 @@ class BakeDisplay:
 def print_report(report: BakeReport) -> None:
     """A compact table of the levels, what is to be said of them, and where they are."""
     table = _table("level", "size", "SNR dB", "energy kept", "fallbacks", "texels/s", justify="right")
-    for index, level in enumerate(report.pyramid.levels):
-        height, width = level.svbrdf.size
+    for index, ((height, width), level) in enumerate(zip(report.baked.sizes, report.baked.levels, strict=True)):
+        status, seconds = (level.status, level.seconds) if level else (None, 0.0)
         measured = report.measured[index] if index < len(report.measured) else {}
         table.add_row(
             str(index),
             f"{width}x{height}",
             _number(measured.get("snr_db"), ".1f"),
             _number(measured.get("energy_kept"), ".1%"),
-            _number(None if level.status is None else int((level.status == FALLBACK).sum()), ","),
-            _number(height * width / level.seconds if level.seconds > 0 else None, ",.0f"),
+            _number(None if status is None else int((status == FALLBACK).sum()), ","),
+            _number(height * width / seconds if seconds > 0 else None, ",.0f"),
         )
     console = _console()
     console.print(table)

@@ -18,15 +18,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.baking import bake_options
 from brdffit.errors import InputError
 from brdffit.fitting.method import NonlinearFit
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.status import FALLBACK, ITERATION_LIMIT, STATUS_NAMES
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.measure import random_texels, snr
-from brdffit.methods import BakeOptions
+from brdffit.methods import Material
 from brdffit.models import get_model
+from brdffit.options import make_options
 from brdffit.roughness import eigenvalues_of_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures import encoding
@@ -136,14 +137,14 @@ def diagnose(
         manifest: manifest.json of a bake of it: its options and statuses are taken instead of a sample's.
         reading: arguments of ``read_texture_set``.
         phase: told when a phase begins: "reading", "compiling", "looking".
-        options: fields of ``BakeOptions``, where no manifest has them.
+        options: fields of ``FitOptions``, where no manifest has them.
 
     Raises:
         InputError: for a set or a manifest that cannot be read.
         UnknownNameError: for an unknown option or name.
     """
     record = _read_manifest(manifest) if manifest is not None else None
-    asked = bake_options(None, {**record["options"], **options} if record else options)
+    asked = make_options(FitOptions, {**record["options"], **options} if record else options, "'bfgs'")
     tell = phase or (lambda name: None)
     tell("reading")
     texture_set = None
@@ -170,7 +171,7 @@ def diagnose(
         )
     base = base_of(svbrdf, get_model(svbrdf.model).default_shape)
     tell("compiling")
-    NonlinearFit().prepare(asked.model, svbrdf.model)
+    NonlinearFit().prepare(Material(svbrdf), asked)
     tell("looking")
     for finding in diagnosis.findings:
         if finding.worst:
@@ -194,7 +195,7 @@ def _read_manifest(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
     except ValueError as error:
         raise InputError(f"'{path}' is not JSON, expected the manifest.json of a bake.") from error
-    known = {each.name for each in dataclasses.fields(BakeOptions)}
+    known = {each.name for each in dataclasses.fields(FitOptions)}
     if not (isinstance(record, dict) and isinstance(record.get("options"), dict) and record.get("levels")):
         raise InputError(f"'{path}' has no options and levels, expected the manifest.json of a bake.")
     return {"options": {k: v for k, v in record["options"].items() if k in known}, "levels": record["levels"]}
@@ -253,7 +254,7 @@ def _stored_normals(texture_set: TextureSet, svbrdf: Svbrdf) -> list[Finding]:
     return found
 
 
-def _base_texels(svbrdf: Svbrdf, options: BakeOptions) -> list[Finding]:
+def _base_texels(svbrdf: Svbrdf, options: FitOptions) -> list[Finding]:
     """Texels that are hard by themselves."""
     normal, specular = svbrdf.normal, svbrdf.specular.sum(axis=2)
     major, minor = eigenvalues_of_log(svbrdf.log_roughness)
@@ -345,7 +346,7 @@ def _mean_normal(normals: NDArray, weights: NDArray) -> NDArray:
 
 
 def _treat(
-    svbrdf: Svbrdf, base: Base, level: int, columns: NDArray, rows: NDArray, options: BakeOptions
+    svbrdf: Svbrdf, base: Base, level: int, columns: NDArray, rows: NDArray, options: FitOptions
 ) -> Treatment:  # fmt: skip
     height, width = level_sizes(svbrdf.size, level + 1)[level]
     columns, rows = np.minimum(columns, width - 1), np.minimum(rows, height - 1)

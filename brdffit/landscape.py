@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit._jit import numba_type
-from brdffit.baking import bake_options
 from brdffit.errors import InputError
 from brdffit.fitting.batch import model_kernels
 from brdffit.fitting.bfgs import WORK, minimise
 from brdffit.fitting.method import search_settings
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import get_quality
 from brdffit.fitting.solvers import Problem
 from brdffit.halfangle.apparent_lobe import base_of
@@ -27,6 +27,7 @@ from brdffit.halfangle.closed_forms import LEAN, VMF
 from brdffit.halfangle.measure import dense_strata
 from brdffit.halfangle.quadrature import lattice
 from brdffit.models import get_model
+from brdffit.options import make_options
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 #: Points along each side of the picture.
@@ -70,7 +71,7 @@ def landscape(svbrdf: Svbrdf, level: int, texel: tuple[int, int], *, model: str 
     """
     size = _checked_size(svbrdf, level, texel)
     source, target = get_model(svbrdf.model), get_model(model)
-    options = bake_options(None, {"model": model, "pixel_filter": pixel_filter})
+    options = make_options(FitOptions, {"model": model, "pixel_filter": pixel_filter}, "'bfgs'")
     base, kernels = base_of(svbrdf, source.default_shape), model_kernels(source.name, target.name)
     search = search_settings(options, get_quality("fine"), base, source, target)
     strata = dense_strata(svbrdf.size, size, pixel_filter, _SAMPLES)

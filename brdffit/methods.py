@@ -1,92 +1,65 @@
-"""What a method is, what it returns, and how methods are found.
+"""What a method is, what it is given and returns, and how methods are found.
 
-A method turns a base SVBRDF into a pyramid. Ours, the baselines and whatever comes later are all alike: one class
-with ``name``, ``summary`` and ``bake``, named by an entry point of the group ``brdffit.methods`` (or given as
-``module:object``).
+A method turns a material into what is drawn at a distance. Ours, the baselines and whatever comes later are all alike:
+one class that follows ``Method``, named by an entry point of the group ``brdffit.methods`` (or given as
+``module:object``). A method whose result is a pyramid of lobes derives from ``LobeMethod`` and writes one function.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
 from brdffit.errors import UnknownNameError
-from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
-from brdffit.svbrdf import Svbrdf
+from brdffit.options import BakeOptions, LobeOptions
+from brdffit.roughness import tensor_from_log
+from brdffit.svbrdf import Svbrdf, level_sizes
+
+#: The method that is taken where none is named, and against which the others are held.
+DEFAULT = "bfgs"
 
 #: progress(level, texels_done, texels_of_level): called from time to time while a level is baked.
 Progress = Callable[[int, int, int], None]
 
-QUALITIES = ("draft", "standard", "fine")
-#: Options that a plan decides (``brdffit plan``); Python may set them too, but no flag and no settings file does.
-BY_PLAN = ("reach", "colour", "correlation", "coupling", "horizon")
-LOSSES = ("l2", "relative", "l1")
-COLOURS = ("channels", "shared")
 
-
-@dataclass(frozen=True)
-class BakeOptions:
-    """What a user may ask of any method; a method ignores what it has no use for.
+@dataclass
+class Material:
+    """What a method is given: everything that a texture set holds.
 
     Attributes:
-        model: lobe model of the pyramid.
-        pixel_filter: "box", "gaussian" or "mitchell", of each level's scale.
-        levels: how many levels, level 0 counted; None goes down to 1x1.
-        keep_level_0: leave level 0 as authored instead of filtering it for the pixel filter.
-        tolerance: dB that a level's SNR may stay below the best lobe's; each texel is given no more work than that asks
-            for. None: the preset ``quality`` alone.
-        loss: "l2", "relative" (each half angle counts relative to what the target holds there) or "l1" (smoothed:
-            tails count more than in l2).
-        refine: move the texels of each level together, after their fit, so that what a renderer interpolates between
-            texels and levels matches in l2; texel centres may lose by it (``residual`` is that of the fit, before).
-        quality: "draft", "standard" or "fine" (sampling, quadrature and end of the nonlinear fit).
-        specular: "free" (best scale in closed form) or "held" (filtered colour, for metallic-roughness outputs).
-        lobe: "anisotropic" or "isotropic".
-        normal: "free" or "mean" (held at the mean normal).
-        density: "cosine" or "uniform": how l and v are distributed in the error integral.
-        min_roughness: perceptual roughness floor, in (0, 1].
-        reach: first and last level that any pixel reads; only they are fitted, the others are averaged channel by
-            channel. Beyond the coarsest level, the coarsest is meant. None: all.
-        colour: "channels" (what is best for red, green and blue together) or "shared" (the luminance is fitted; its
-            scale times the filtered colour's hue).
-        correlation: whether colours weigh the lobes of a footprint. Without, all lobes count alike, and the fitted
-            scale multiplies the filtered colour; ``colour`` then says nothing.
-        coupling: whether diffuse colour and normal are averaged together (bright sides of bumps stay bright). Without,
-            diffuse colour is averaged alone.
-        horizon: whether lobes end at their own horizon, n.h = 0, in the search.
-        threads: worker threads; None takes all cores. The result does not depend on it.
+        svbrdf: one lobe a texel, with height and occlusion where the set has them.
+        opacity: (H, W) weight of each texel in [0, 1], or None where all is opaque.
     """
 
-    model: str = "ggx"
-    pixel_filter: str = "box"
-    levels: int | None = None
-    keep_level_0: bool = False
-    quality: str = "standard"
-    tolerance: float | None = None
-    loss: str = "l2"
-    refine: bool = False
-    specular: str = "free"
-    lobe: str = "anisotropic"
-    normal: str = "free"
-    density: str = "cosine"
-    min_roughness: float = DEFAULT_MIN_ROUGHNESS
-    reach: tuple[int, int] | None = None
-    colour: str = "channels"
-    correlation: bool = True
-    coupling: bool = True
-    horizon: bool = True
-    threads: int | None = None
+    svbrdf: Svbrdf
+    opacity: NDArray | None = None
+
+    @property
+    def height(self) -> NDArray | None:
+        """(H, W) height in texels, positive up, or None."""
+        return self.svbrdf.height
+
+    @property
+    def occlusion(self) -> NDArray | None:
+        """(H, W) ambient occlusion in [0, 1], or None."""
+        return self.svbrdf.occlusion
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) in texels."""
+        return self.svbrdf.size
 
 
 @dataclass
 class Level:
-    """One MIP level and what the method says of it.
+    """One MIP level of lobes and what the method says of it.
 
     Attributes:
         svbrdf: the level's own parameters.
@@ -106,10 +79,10 @@ class Level:
 
 @dataclass
 class Pyramid:
-    """MIP levels from level 0 down, by one method."""
+    """MIP levels of lobes from level 0 down, by one method."""
 
     method: str
-    options: BakeOptions
+    options: LobeOptions
     levels: list[Level]
     notes: list[str] = field(default_factory=list)
 
@@ -125,20 +98,125 @@ class Pyramid:
         return self.levels[mip_level]
 
 
+class Image(NamedTuple):
+    """A picture with all its MIP levels, written to one file.
+
+    Attributes:
+        name: of the file, without its ending.
+        channels: their names.
+        sizes: (height, width) of each level.
+        rows: gives rows of a level as (h, w, C) float32; made when they are written, so that little is held at a time.
+        unit: whether texels are unit vectors, and must be again after averaging.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    sizes: list[tuple[int, int]]
+    rows: Callable[[int, slice], NDArray]
+    unit: bool = False
+
+
+@dataclass
+class Baked:
+    """What a method returns.
+
+    Attributes:
+        method: its name.
+        options: as it was asked.
+        appearance: what the renderer asks, see ``brdffit.appearance``.
+        lobes: MIP levels of lobes, or None where the result is none; half-angle figures, roughness maps and engine
+            pictures are made of these alone.
+        notes: sentences for the user.
+        stored: pictures that hold a result without lobes.
+    """
+
+    method: str
+    options: BakeOptions
+    appearance: Any
+    lobes: Pyramid | None = None
+    notes: list[str] = field(default_factory=list)
+    stored: Sequence[Image] = ()
+
+    @classmethod
+    def of_lobes(cls, pyramid: Pyramid) -> Baked:
+        """The result of a method that bakes lobes."""
+        from brdffit.appearance import LobePyramid
+
+        appearance = LobePyramid([level.svbrdf for level in pyramid.levels])
+        return cls(pyramid.method, pyramid.options, appearance, pyramid, pyramid.notes)
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        """(height, width) of each level."""
+        if self.lobes is not None:
+            return [level.svbrdf.size for level in self.lobes.levels]
+        return level_sizes(self.appearance.base_size, self.options.levels)
+
+    @property
+    def levels(self) -> Sequence[Level | None]:
+        """What is said of each level of lobes; None for each level of a result without lobes."""
+        return [None] * len(self.sizes) if self.lobes is None else self.lobes.levels
+
+    def images(self) -> list[Image]:
+        """The pictures that hold the result exactly: what is exported."""
+        return list(self.stored) if self.lobes is None else lobe_images(self.lobes)
+
+
+def lobe_images(pyramid: Pyramid) -> list[Image]:
+    """Normal, roughness tensor in alpha^2, specular and diffuse colour, and the shape where the model has one."""
+    levels = [level.svbrdf for level in pyramid.levels]
+
+    sizes = [level.size for level in levels]
+    images = [
+        Image("normal", ("X", "Y", "Z"), sizes, lambda k, rows: levels[k].normal[rows], unit=True),
+        Image("roughness", ("XX", "YY", "XY"), sizes, lambda k, rows: tensor_from_log(levels[k].log_roughness[rows])),
+        Image("specular", ("R", "G", "B"), sizes, lambda k, rows: levels[k].specular[rows]),
+        Image("diffuse", ("R", "G", "B"), sizes, lambda k, rows: levels[k].diffuse[rows]),
+    ]
+    shapes = [level.shape for level in levels]
+    if shapes[0] is not None:
+        images.append(Image("shape", ("Y",), sizes, lambda k, rows: shapes[k][rows, :, None]))  # type: ignore[index]
+    return images
+
+
 @runtime_checkable
 class Method(Protocol):
-    """A way to bake a pyramid."""
+    """A way to bake a material. ``options`` is its type of options: what is not a field of it is refused."""
 
     name: str
     summary: str
+    options: ClassVar[type[BakeOptions]]
 
-    def bake(self, svbrdf: Svbrdf, options: BakeOptions, progress: Progress | None = None) -> Pyramid:
-        """Bake ``svbrdf`` into a pyramid.
+    def prepare(self, material: Material, options: Any) -> None:
+        """Compile, load or train what the bake needs and what is no part of its time."""
+        ...
+
+    def bake(self, material: Material, options: Any, progress: Progress | None = None) -> Baked:
+        """Bake a material.
 
         Raises:
-            brdffit.errors.InputError: when the method needs something that the SVBRDF lacks.
+            brdffit.errors.InputError: when the method needs something that the material lacks.
         """
         ...
+
+
+class LobeMethod:
+    """A method whose result is a pyramid of lobes; a subclass says how its levels are made."""
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    options: ClassVar[type[BakeOptions]] = LobeOptions
+
+    def prepare(self, material: Material, options: Any) -> None:
+        """Nothing is to be prepared, unless a subclass says otherwise."""
+
+    def bake(self, material: Material, options: Any, progress: Progress | None = None) -> Baked:
+        """Bake a material, see ``Method``."""
+        return Baked.of_lobes(self.bake_lobes(material.svbrdf, options, progress))
+
+    def bake_lobes(self, svbrdf: Svbrdf, options: Any, progress: Progress | None = None) -> Pyramid:
+        """The levels of lobes."""
+        raise NotImplementedError
 
 
 @cache
@@ -149,7 +227,12 @@ def _installed() -> dict[str, EntryPoint]:
 
 def method_names() -> list[str]:
     """Names of the installed methods, ours first."""
-    return sorted(sorted(_installed()), key=lambda name: name != "bfgs")
+    return sorted(sorted(_installed()), key=lambda name: name != DEFAULT)
+
+
+def lobe_method_names() -> list[str]:
+    """Names of those installed methods whose result is a pyramid of lobes, ours first."""
+    return [name for name in method_names() if isinstance(get_method(name), LobeMethod)]
 
 
 def get_method(name: str) -> Method:
@@ -174,3 +257,9 @@ def one_of(kind: str, name: str, known: Sequence[str]) -> str:
     if name not in known:
         raise UnknownNameError(kind, name, known)
     return name
+
+
+def with_options(options: BakeOptions, changes: Mapping[str, Any]) -> Any:
+    """Options with some changed, where their type has them."""
+    names = {each.name for each in dataclasses.fields(options)}
+    return dataclasses.replace(options, **{name: value for name, value in changes.items() if name in names})

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from brdffit.fitting.options import FitOptions
 from brdffit.footprint import filter_pyramid, get_pixel_filter
-from brdffit.methods import BakeOptions, Level, Pyramid
+from brdffit.methods import Level, Pyramid
 from brdffit.roughness import log_from_tensor, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 
@@ -51,4 +52,4 @@ def averaged_pyramid(base: Svbrdf, levels=None, method="naive", **options) -> Py
             height=None,
         )
         made.append(Level(svbrdf, seconds=0.1 * k))
-    return Pyramid(method, BakeOptions(levels=levels, **options), made)
+    return Pyramid(method, FitOptions(levels=levels, **options), made)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from brdffit.files.image_io import write_png
-from brdffit.methods import get_method
+from brdffit.methods import LobeMethod, get_method
 
 
 def write_maps(folder, seed=0, size=8, names="Set_{}.png", roles=("NormalGL", "Color", "Roughness")):
@@ -59,16 +59,16 @@ def whole_sets(folder: Path) -> int:
     return found
 
 
-class _Odd:
+class _Odd(LobeMethod):
     """A method that does as `naive`, but for a set whose base has one texel a side more than that of the others."""
 
     summary = "for tests"
     name = "odd"
 
-    def bake(self, svbrdf, options, progress=None):
+    def bake_lobes(self, svbrdf, options, progress=None):
         if svbrdf.size == (9, 9):
             self.misbehave()
-        return get_method("naive").bake(svbrdf, options)
+        return get_method("naive").bake_lobes(svbrdf, options)
 
 
 class DiesAlways(_Odd):

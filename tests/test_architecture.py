@@ -22,27 +22,28 @@ FORBIDDEN = {
     "brdffit.roughness": {"brdffit.svbrdf", "brdffit.methods", "brdffit.textures", "brdffit.models"},
     "brdffit.svbrdf": {"brdffit.methods", "brdffit.textures", "brdffit.models", "brdffit.fitting", "brdffit.footprint"},
     "brdffit.models": {"brdffit.halfangle", "brdffit.fitting", "brdffit.methods", "brdffit.textures", "brdffit.render"},
-    "brdffit.halfangle": {"brdffit.fitting", "brdffit.textures", "brdffit.render", "brdffit.baking", "brdffit.cli"},
-    "brdffit.fitting": {"brdffit.textures", "brdffit.render", "brdffit.baking", "brdffit.cli"},
+    "brdffit.halfangle": {"brdffit.fitting", "brdffit.textures", "brdffit.render", "brdffit.pipeline", "brdffit.cli"},
+    "brdffit.fitting": {"brdffit.textures", "brdffit.render", "brdffit.pipeline", "brdffit.cli"},
     "brdffit.methods": {
-        "brdffit.textures", "brdffit.render", "brdffit.halfangle", "brdffit.fitting", "brdffit.baking", "brdffit.cli"
+        "brdffit.textures", "brdffit.render", "brdffit.halfangle", "brdffit.fitting", "brdffit.pipeline", "brdffit.cli"
     },
     "brdffit.footprint": {
-        "brdffit.textures", "brdffit.render", "brdffit.models", "brdffit.halfangle", "brdffit.fitting", "brdffit.baking"
+        "brdffit.textures", "brdffit.render", "brdffit.models", "brdffit.halfangle", "brdffit.fitting",
+        "brdffit.pipeline",
     },
     "brdffit.textures": {
-        "brdffit.fitting", "brdffit.halfangle", "brdffit.models", "brdffit.render", "brdffit.baking", "brdffit.cli",
+        "brdffit.fitting", "brdffit.halfangle", "brdffit.models", "brdffit.render", "brdffit.pipeline", "brdffit.cli",
         "brdffit.export",
     },
     "brdffit.files": {
         "brdffit.svbrdf", "brdffit.methods", "brdffit.textures", "brdffit.models", "brdffit.render", "brdffit.export"
     },
     "brdffit.export": {
-        "brdffit.fitting", "brdffit.halfangle", "brdffit.models", "brdffit.render", "brdffit.baking", "brdffit.cli"
+        "brdffit.fitting", "brdffit.halfangle", "brdffit.models", "brdffit.render", "brdffit.pipeline", "brdffit.cli"
     },
     # The geometry of a lobe is shared; what the half-angle integral is made of is not: rendering checks it.
     "brdffit.render": {
-        "brdffit.fitting", "brdffit.textures", "brdffit.baking", "brdffit.cli", "brdffit.halfangle.apparent_lobe",
+        "brdffit.fitting", "brdffit.textures", "brdffit.pipeline", "brdffit.cli", "brdffit.halfangle.apparent_lobe",
         "brdffit.halfangle.quadrature", "brdffit.halfangle.objective", "brdffit.halfangle.measure",
         "brdffit.halfangle.closed_forms",
     },
@@ -51,7 +52,7 @@ FORBIDDEN = {
     # The report draws; it computes nothing.
     "brdffit.report": {
         "brdffit.fitting", "brdffit.halfangle", "brdffit.render", "brdffit.models", "brdffit.svbrdf", "brdffit.methods",
-        "brdffit.baking", "brdffit.comparison", "brdffit.landscape", "brdffit.cli",
+        "brdffit.pipeline", "brdffit.comparison", "brdffit.landscape", "brdffit.cli",
     },
     # Data for the console, which prints it.
     "brdffit.doctor": {"brdffit.render", "brdffit.console", "brdffit.cli", "brdffit.report", "rich", "click"},

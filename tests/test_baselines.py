@@ -7,7 +7,8 @@ import pytest
 
 from baselines.lean import MAX_SLOPE
 from brdffit.errors import InputError
-from brdffit.methods import BakeOptions, Method, get_method, method_names
+from brdffit.fitting.options import FitOptions
+from brdffit.methods import Method, get_method, method_names
 from brdffit.roughness import log_tensor_from_perceptual, perceptual_from_log_tensor, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 
@@ -24,7 +25,7 @@ baselines = pytest.mark.parametrize("name", BASELINES)
 
 
 def bake(name, svbrdf, **options):
-    return get_method(name).bake(svbrdf, BakeOptions(**options))
+    return get_method(name).bake_lobes(svbrdf, FitOptions(**options))
 
 
 def unit(x, y, z=1.0):
@@ -75,7 +76,7 @@ def slopes_svbrdf(slope, roughness):
     )
 
 
-def assert_sane(pyramid, svbrdf, min_roughness=BakeOptions.min_roughness):
+def assert_sane(pyramid, svbrdf, min_roughness=FitOptions.min_roughness):
     """Right sizes and model, finite, unit normals, tensors positive definite and within their bounds."""
     assert [level.svbrdf.size for level in pyramid.levels] == level_sizes(svbrdf.size)
     for level in pyramid.levels:
@@ -115,7 +116,7 @@ def test_constant_material_is_returned_at_every_level(name, pixel_filter, wrap):
 @pytest.mark.parametrize("normal", [(0, 0, 1), (0.3, -0.4, 0.8), (0.9, 0.1, 0.3)])
 def test_a_flat_mirror_stays_as_glossy_as_authored(name, normal):
     """Rounding of the mean normal's length must not pass for a spread of normals."""
-    roughness = BakeOptions.min_roughness
+    roughness = FitOptions.min_roughness
     base = constant_svbrdf((64, 64), normal, log_tensor_from_perceptual(np.float32(roughness)))
     for level in bake(name, base).levels:
         np.testing.assert_allclose(perceptual_from_log_tensor(level.svbrdf.log_roughness), roughness, atol=CONSTANT)
@@ -369,7 +370,7 @@ def test_a_model_of_one_roughness_gets_isotropic_levels(name):
 @baselines
 def test_result_does_not_depend_on_threads_and_progress_counts_every_texel(name):
     base, seen = random_svbrdf((300, 130)), []
-    one = get_method(name).bake(base, BakeOptions(threads=1), lambda *report: seen.append(report))
+    one = get_method(name).bake_lobes(base, FitOptions(threads=1), lambda *report: seen.append(report))
     three = bake(name, base, threads=3)
     for a, b in zip(one.levels, three.levels, strict=True):
         assert all(np.array_equal(image, b.svbrdf.arrays()[field]) for field, image in a.svbrdf.arrays().items())

@@ -15,7 +15,7 @@ from brdffit.comparison.one_set import SetWork
 from brdffit.comparison.surroundings import read_environment
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.files.image_io import write_png
-from brdffit.methods import BakeOptions
+from brdffit.fitting.options import FitOptions
 from brdffit.render import lights, scenes
 from brdffit.render.environment import Environment
 from brdffit.report.records import KEPT_SUFFIX, MOST_ANISOTROPY, picture_names, to_json, unpack
@@ -39,7 +39,7 @@ def material(size=(16, 16), bumps=0.0, seed=3):
 
 
 def small_ask(*methods, **options):
-    return Ask(methods=methods, options=BakeOptions(**{"quality": "draft", "threads": 1, **options}), **SMALL)
+    return Ask(methods=methods, options={"quality": "draft", "threads": 1, **options}, **SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -156,8 +156,8 @@ def test_a_set_is_called_as_its_folder(tmp_path):
 def test_what_is_asked():
     ask = Ask.of(methods=["bfgs,naive", "lean", "naive"], quick=True, quality="fine")
     assert ask.methods == ("bfgs", "naive", "lean")
-    assert ask.pixels < Ask().pixels and ask.options.quality == "fine"
-    assert Ask.of(quick=True).options.quality == "draft"
+    assert ask.pixels < Ask().pixels and ask.options == {"quality": "fine"}
+    assert Ask.of(quick=True).options == {"quality": "draft"}
     with pytest.raises(UnknownNameError, match="naive"):
         Ask.of(methods=["naiv"])
     with pytest.raises(UnknownNameError, match="did you mean 'held'"):
@@ -165,9 +165,9 @@ def test_what_is_asked():
 
 
 def test_a_variant_is_the_method_with_another_option():
-    method, options = variant("bfgs+held+isotropic", BakeOptions(quality="draft"))
+    method, options = variant("bfgs+held+isotropic", {"quality": "draft"})
     assert method.name == "bfgs"
-    assert options == BakeOptions(quality="draft", specular="held", lobe="isotropic")
+    assert options == FitOptions(quality="draft", specular="held", lobe="isotropic")
 
 
 def studio():

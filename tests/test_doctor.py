@@ -9,10 +9,10 @@ import pytest
 from click.testing import CliRunner
 from test_fitting import surface
 
-from brdffit.baking import bake_to_folder
 from brdffit.cli import main
 from brdffit.doctor import LEAST_SHARE, diagnose
 from brdffit.errors import InputError
+from brdffit.pipeline import bake_to_folder
 from brdffit.textures.procedural import make_set
 
 SIZE = (32, 32)

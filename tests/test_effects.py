@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from test_fitting import bake, check, surface
 
-from brdffit import baking
+from brdffit import pipeline
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.export.manifest import build_manifest
 from brdffit.files.image_io import write_png
 from brdffit.fitting.batch import make_output, model_kernels
 from brdffit.fitting.effects import complete, kernels_of, reached, seen_by
 from brdffit.fitting.method import NonlinearFit
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.status import KEPT, NO_SPECULAR, NOT_REACHED, STATUS_NAMES
 from brdffit.footprint import filter_channels, filter_texels, get_pixel_filter
@@ -21,7 +22,7 @@ from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.measure import lobe_parameters, random_texels, snr
 from brdffit.halfangle.objective import MOMENTS
 from brdffit.halfangle.quadrature import NODE_ROWS
-from brdffit.methods import BakeOptions, get_method
+from brdffit.methods import Baked, Material, get_method
 from brdffit.models import get_model
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.textures.conversion import to_svbrdf
@@ -57,7 +58,7 @@ def test_what_is_reached_is_as_in_a_full_bake_and_the_rest_as_the_naive_baseline
     base = coloured(occlusion=np.random.default_rng(1).uniform(0, 1, (16, 16)).astype(np.float32))
     full = bake(base, pixel_filter=pixel_filter)
     part = check_reach(bake(base, pixel_filter=pixel_filter, reach=reach), reach)
-    naive = get_method("naive").bake(base, BakeOptions(pixel_filter=pixel_filter))
+    naive = get_method("naive").bake_lobes(base, FitOptions(pixel_filter=pixel_filter))
     for k, (level, whole, plain) in enumerate(zip(part.levels, full.levels, naive.levels, strict=True)):
         if reach[0] <= k <= reach[1]:
             assert same_bytes(level.svbrdf, whole.svbrdf, (*FIELDS, "occlusion"))
@@ -79,7 +80,10 @@ def test_an_anisotropic_base_is_averaged_as_the_naive_baseline_does(model):
     base = coloured()
     base.log_roughness[..., 0] += 1.0
     base.log_roughness[..., 2] -= 0.4
-    pyramid, naive = bake(base, model=model, reach=(4, 4)), get_method("naive").bake(base, BakeOptions(model=model))
+    pyramid, naive = (
+        bake(base, model=model, reach=(4, 4)),
+        get_method("naive").bake_lobes(base, FitOptions(model=model)),
+    )
     for level, plain in zip(pyramid.levels[:4], naive.levels, strict=False):
         assert level.svbrdf.model == model
         for name in ("log_roughness", "normal", *(["shape"] if model != "ggx" else [])):
@@ -114,10 +118,11 @@ def test_only_what_is_reached_is_refined():
 def test_the_manifest_holds_every_option_and_counts_what_is_not_reached():
     pyramid = bake(coloured(), reach=(0, 1), coupling=False)
     assert pyramid.notes == ["Pixels read levels 0 to 1 alone; the others are averaged, not fitted."]
-    measured = baking.assess(coloured(), pyramid)
+    baked = Baked.of_lobes(pyramid)
+    measured = pipeline.assess(Material(coloured()), baked)
     assert [bool(figures) for figures in measured] == [True, True, False, False, False]
-    manifest = build_manifest(pyramid, name="set", status_names=STATUS_NAMES, measured=measured)
-    assert manifest["options"].keys() == {each.name for each in dataclasses.fields(BakeOptions)} - {"threads"}
+    manifest = build_manifest(baked, name="set", status_names=STATUS_NAMES, measured=measured)
+    assert manifest["options"].keys() == {each.name for each in dataclasses.fields(FitOptions)} - {"threads"}
     assert manifest["options"]["reach"] == (0, 1) and manifest["levels"][2]["statuses"] == {"not reached": 16}
 
 
@@ -223,7 +228,7 @@ def test_each_effect_helps_where_it_is_there():
     base.specular[:] = np.float32([0.0, 0.15, 0.05])
     base.specular[..., 0] = 0.02 + 0.98 * (base.normal[..., 0] > 0)
     sample = LevelSample(base, 2, *random_texels((4, 4), 16, seed=0))
-    ways = [BakeOptions(), BakeOptions(colour="shared"), BakeOptions(correlation=False)]
+    ways = [FitOptions(), FitOptions(colour="shared"), FitOptions(correlation=False)]
     error = sample.measure([sample.fit(options)[0] for options in ways], nodes=1024, samples=(16, 32)).error
     everything, shared, uncorrelated = map(snr, error)
     assert everything > shared + 0.1 and shared > uncorrelated + 0.1, (everything, shared, uncorrelated)
@@ -291,8 +296,8 @@ def test_moments_that_are_left_out_are_those_that_a_held_search_does_not_read(mo
     ids=lambda off: "-".join(off),
 )
 def test_a_sample_is_fitted_as_in_a_whole_bake(off):
-    base, options = coloured(wrap="clamp"), BakeOptions(levels=3, **off)
-    for k, level in enumerate(NonlinearFit().bake(base, options).levels):
+    base, options = coloured(wrap="clamp"), FitOptions(levels=3, **off)
+    for k, level in enumerate(NonlinearFit().bake_lobes(base, options).levels):
         columns, rows = random_texels(level.svbrdf.size, 12, seed=k)
         (theta, scale), output = LevelSample(base, k, columns, rows, options).fit()
         np.testing.assert_allclose(scale, level.svbrdf.specular[rows, columns], rtol=1e-6)
@@ -302,7 +307,7 @@ def test_a_sample_is_fitted_as_in_a_whole_bake(off):
 
 
 def test_options_may_be_given_anew_for_each_fit():
-    sample, asked = LevelSample(coloured(), 1, *random_texels((8, 8), 20, seed=1)), BakeOptions(colour="shared")
+    sample, asked = LevelSample(coloured(), 1, *random_texels((8, 8), 20, seed=1)), FitOptions(colour="shared")
     anew, own = sample.fit(asked)[1], LevelSample(coloured(), 1, sample.columns, sample.rows, asked).fit()[1]
     assert all(np.array_equal(a, b) for a, b in zip(anew, own, strict=True))
     again = (
@@ -326,13 +331,13 @@ def test_single_texels_are_filtered_as_whole_levels_are(wrap, pixel_filter):
 
 def test_nothing_off_leaves_nothing_to_complete():
     base = base_of(coloured())
-    seen, output = seen_by(base, BakeOptions()), make_output(3)
+    seen, output = seen_by(base, FitOptions()), make_output(3)
     assert seen.base is base and not seen.averaged
     output.specular[:] = 0.7
     complete(output, seen, {})
     assert (output.specular == np.float32(0.7)).all()
     ggx = get_model("ggx")
-    assert kernels_of(BakeOptions(), ggx, ggx) == model_kernels("ggx", "ggx")
+    assert kernels_of(FitOptions(), ggx, ggx) == model_kernels("ggx", "ggx")
 
 
 # Maps that are not read
@@ -372,21 +377,21 @@ def test_a_whole_bake_does_not_read_them_either(folder, tmp_path):
     for name in ("normal", "height"):
         path = folder / f"wall_{name}.png"
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])  # its header can be read, its texels cannot
-    report = baking.bake_to_folder(folder, tmp_path / "out", without=("normal",), levels=2, preview=False)
+    report = pipeline.bake_to_folder(folder, tmp_path / "out", without=("normal",), levels=2, preview=False)
     assert {each["role"] for each in report.manifest["inputs"]} == {"base_color", "roughness", "metallic", "ao"}
     assert report.manifest["options"]["normal"] == "mean"
-    assert (report.pyramid[1].svbrdf.normal == [0, 0, 1]).all()
+    assert (report.baked.lobes[1].svbrdf.normal == [0, 0, 1]).all()
 
 
 def test_without_its_normals_a_set_is_the_set_that_never_had_any(folder):
-    with_normals = baking.bake(folder, without=("normal",), levels=2)
+    with_normals = pipeline.bake(folder, without=("normal",), levels=2)
     for name in ("normal", "height"):
         (folder / f"wall_{name}.png").unlink()
-    never = baking.bake(folder, without=("normal",), levels=2)
-    for one, other in zip(with_normals.levels, never.levels, strict=True):
+    never = pipeline.bake(folder, without=("normal",), levels=2)
+    for one, other in zip(with_normals.lobes.levels, never.lobes.levels, strict=True):
         assert same_bytes(one.svbrdf, other.svbrdf)
     with pytest.raises(InputError, match="no normal map and no height map"):
-        baking.bake(folder)
+        pipeline.bake(folder)
 
 
 def test_height_alone_can_be_left(folder):

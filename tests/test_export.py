@@ -23,8 +23,9 @@ from brdffit.export.presets import (
     gltf_strength_from_alphas,
     tangent_above,
 )
-from brdffit.export.writing import dominant_direction, encode_level, encode_srgb, quantise, write_pyramid
+from brdffit.export.writing import dominant_direction, encode_level, encode_srgb, quantise, write_baked
 from brdffit.files.image_io import read_image, read_mip_exr
+from brdffit.methods import Baked
 from brdffit.roughness import log_from_tensor, tensor_from_log
 from brdffit.svbrdf import level_sizes
 from brdffit.textures.conversion import DIELECTRIC_F0
@@ -35,7 +36,13 @@ CHANNELS = {"normal": "X Y Z", "roughness": "XX YY XY", "specular": "R G B", "di
 
 
 def write(pyramid, folder, **changes):
-    return write_pyramid(pyramid, folder, name="set", manifest=build_manifest(pyramid, name="set"), **changes)
+    return write_baked(
+        Baked.of_lobes(pyramid),
+        folder,
+        name="set",
+        manifest=build_manifest(Baked.of_lobes(pyramid), name="set"),
+        **changes,
+    )
 
 
 def through_texture_system(path, mip_level, channels):

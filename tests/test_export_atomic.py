@@ -15,8 +15,9 @@ from export_support import averaged_pyramid, random_svbrdf
 from brdffit.errors import OutputError
 from brdffit.export import writing as export
 from brdffit.export.manifest import build_manifest
-from brdffit.export.writing import check_writable, write_pyramid
+from brdffit.export.writing import check_writable, write_baked
 from brdffit.files import atomic
+from brdffit.methods import Baked
 
 needs_permissions = pytest.mark.skipif(
     not hasattr(os, "geteuid") or os.geteuid() == 0, reason="the superuser may write anywhere"
@@ -25,7 +26,9 @@ needs_permissions = pytest.mark.skipif(
 
 def write(folder, seed=0, size=(8, 8)):
     pyramid = averaged_pyramid(random_svbrdf(size, seed=seed))
-    return write_pyramid(pyramid, folder, name="set", manifest=build_manifest(pyramid, name="set"))
+    return write_baked(
+        Baked.of_lobes(pyramid), folder, name="set", manifest=build_manifest(Baked.of_lobes(pyramid), name="set")
+    )
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -6,11 +6,12 @@ from lobe_oracle import MODELS, box_footprint, half_angle_weight, lobe, log_tens
 
 from brdffit.fitting import method as fitting_method
 from brdffit.fitting.batch import model_kernels
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.status import CONVERGED, FALLBACK, FLAT, KEPT, NO_SPECULAR, PRECISION_LIMIT, STATUSES
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.measure import measure
-from brdffit.methods import BakeOptions, get_method
+from brdffit.methods import get_method
 from brdffit.models import get_model
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
@@ -25,7 +26,7 @@ models = pytest.mark.parametrize("model", MODELS)
 
 def bake(svbrdf, **options):
     options = {"model": svbrdf.model, "threads": 2, **options}
-    return get_method("bfgs").bake(svbrdf, BakeOptions(**options))
+    return get_method("bfgs").bake_lobes(svbrdf, FitOptions(**options))
 
 
 def surface(size=(8, 8), slopes=None, alpha=0.3, colour=(0.9, 0.6, 0.3), spread=0.15, seed=0, **fields):
@@ -200,7 +201,7 @@ def test_mean_normal_is_weighted_by_energy():
 def test_better_than_every_closed_form(quality, bumpy):
     ours = bake(bumpy, quality=quality, levels=3)
     for name in ("naive", "vmf", "lean", "toksvig"):
-        theirs = get_method(name).bake(bumpy, BakeOptions(levels=3))
+        theirs = get_method(name).bake_lobes(bumpy, FitOptions(levels=3))
         for level, other in zip(ours.levels, theirs.levels, strict=True):
             assert errors(bumpy, level).mean() <= errors(bumpy, other).mean() * (1 + QUADRATURE)
 

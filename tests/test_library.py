@@ -15,13 +15,14 @@ import pytest
 from click.testing import CliRunner
 from library_support import contents, make_library, write_maps
 
-from brdffit.baking import bake_to_folder
+from brdffit import pipeline
 from brdffit.cli import main
 from brdffit.errors import InputError
 from brdffit.files.image_io import read_image, write_png
 from brdffit.library import bake, state, store
 from brdffit.library.page import write_page
 from brdffit.library.run import _tasks, run_library
+from brdffit.pipeline import bake_to_folder
 
 #: What makes a bake quick: closed forms, two levels.
 QUICK = {"method": "lean", "levels": 2}
@@ -195,7 +196,7 @@ def test_bad_sets_are_named_and_good_ones_baked(library):
     path.write_bytes(path.read_bytes()[:-30])
     write_maps(root / "flat", roles=("Color", "Roughness"))
     write_maps(root / "sizes")
-    write_png(root / "sizes" / "Set_Color.png", np.zeros((8, 5, 3), np.uint8))
+    write_png(root / "sizes" / "Set_Color.png", np.arange(120, dtype=np.uint8).reshape(8, 5, 3))
     options = ["--method", "lean", "--levels", "2", "--workers", "1"]
     result = CliRunner().invoke(main, ["library", str(root), "-o", str(output), *options])
     assert result.exit_code == 1
@@ -228,7 +229,7 @@ def test_a_set_that_no_longer_can_be_baked_keeps_what_it_had_but_is_named(librar
 def test_files_that_change_while_they_are_read_are_told(made, monkeypatch):
     root, output, _ = made
     task = _tasks(root, str(output), None, QUICK)["set1"]
-    monkeypatch.setattr(bake, "to_svbrdf", lambda *arguments, **options: os.utime(root / "set1" / "Set_Color.png"))
+    monkeypatch.setattr(pipeline, "to_svbrdf", lambda *arguments, **options: os.utime(root / "set1" / "Set_Color.png"))
     with pytest.raises(InputError, match="changed while they were read"):
         bake.read_set(task)
 

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 
-import msgspec
 import numpy as np
 import pytest
 from library_support import write_maps
 
-from brdffit.baking import bake_to_folder
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.files.image_io import write_png
 from brdffit.library.bake import open_set
 from brdffit.library.discovery import find_sets
-from brdffit.library.settings import Overrides, read_settings, split_options
+from brdffit.library.settings import read_settings, split_options
 from brdffit.library.task import Found, Task
-from brdffit.methods import BY_PLAN, BakeOptions
+from brdffit.pipeline import bake_to_folder
 
 
 def keys(root, **more):
@@ -204,11 +201,6 @@ def test_settings_by_patterns(tmp_path):
     split = split_options(of("metal/thin"))
     assert split["preset"] == "gltf" and split["options"] == {"quality": "fine", "levels": 3}
     assert split["reading"]["roles"] == {"normal": "bumps.png"}
-
-
-def test_settings_know_every_option_of_a_bake():
-    options = {field.name for field in dataclasses.fields(BakeOptions)} - {"threads", *BY_PLAN}
-    assert options <= {field.name for field in msgspec.structs.fields(Overrides)}
 
 
 @pytest.mark.parametrize(

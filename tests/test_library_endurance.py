@@ -181,7 +181,7 @@ def test_what_a_dask_worker_cannot_bake_is_named(tmp_path, cluster):
 ONE_BY_ONE = """
 import sys
 from pathlib import Path
-from brdffit.baking import bake_to_folder
+from brdffit.pipeline import bake_to_folder
 for path in sorted(Path(sys.argv[1]).rglob("*_Color.png")):
     bake_to_folder(path.parent, sys.argv[2], preview=False, method="lean", levels=2, threads=1)
 """

@@ -17,17 +17,18 @@ from brdffit.export.manifest import (
     stable_digest,
     to_json,
 )
-from brdffit.export.writing import write_pyramid
+from brdffit.export.writing import write_baked
 from brdffit.machine import versions
+from brdffit.methods import Baked
 
 
 def bake(folder, threads=None, seconds=1.0, seed=0, inputs=()):
     pyramid = averaged_pyramid(random_svbrdf((12, 20), seed=seed), threads=threads)
     for level in pyramid.levels:
         level.seconds = seconds
-    manifest = build_manifest(pyramid, name="set", inputs=inputs)
+    manifest = build_manifest(Baked.of_lobes(pyramid), name="set", inputs=inputs)
     preview = np.zeros((4, 5, 3), np.uint8)
-    return write_pyramid(pyramid, folder, name="set", preset="gltf", manifest=manifest, preview=preview)
+    return write_baked(Baked.of_lobes(pyramid), folder, name="set", preset="gltf", manifest=manifest, preview=preview)
 
 
 def files(folder):
@@ -70,7 +71,11 @@ def test_options_and_inputs_are_recorded(tmp_path):
     source.write_bytes(b"pixels")
     pyramid = averaged_pyramid(random_svbrdf((4, 4)), pixel_filter="mitchell", threads=3)
     manifest = build_manifest(
-        pyramid, name="wood", inputs=[("normal", source)], conventions={"normal_y": "dx"}, notes=["A sentence."]
+        Baked.of_lobes(pyramid),
+        name="wood",
+        inputs=[("normal", source)],
+        conventions={"normal_y": "dx"},
+        notes=["A sentence."],
     )
     assert manifest["inputs"] == [
         {"role": "normal", "file": "wood_normal.png", "sha256": hashlib.sha256(b"pixels").hexdigest()}
@@ -88,18 +93,18 @@ def test_a_level_counts_its_statuses_and_adds_what_was_measured():
     level.status = np.array([[0, 0, 2], [2, 2, 7]], np.uint8)
     level.evaluations = np.full((2, 3), 60000, np.uint16)
     level.residual = np.full((2, 3), 0.01, np.float32)
-    record = level_record(level, 0, ("converged", "stalled", "flat"), {"snr_db": 19.5, "energy_kept": 0.98})
+    record = level_record((2, 3), 0, level, ("converged", "stalled", "flat"), {"snr_db": 19.5, "energy_kept": 0.98})
     assert record["statuses"] == {"converged": 2, "flat": 3, "7": 1}
     assert sum(record["statuses"].values()) == record["texels"] == 6
     assert record["evaluations"] == 360000
     assert record["residual_snr_db"] == pytest.approx(20.0, abs=1e-5)
     assert record["snr_db"] == 19.5 and record["energy_kept"] == 0.98
     level.residual[:] = 0.0
-    assert level_record(level, 0)["residual_snr_db"] is None
+    assert level_record((2, 3), 0, level)["residual_snr_db"] is None
 
 
 def test_closed_forms_have_no_statuses():
-    record = level_record(averaged_pyramid(random_svbrdf((2, 2)))[0], 0)
+    record = level_record((2, 2), 0, averaged_pyramid(random_svbrdf((2, 2)))[0])
     assert set(record) == {"level", "width", "height", "texels"}
 
 

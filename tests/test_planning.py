@@ -10,7 +10,8 @@ from click.testing import CliRunner
 
 from brdffit.cli import main
 from brdffit.fitting.method import NonlinearFit
-from brdffit.methods import BakeOptions
+from brdffit.fitting.options import FitOptions
+from brdffit.methods import Baked
 from brdffit.planning.description import parse_scene, read_scene
 from brdffit.planning.effects import BY_NAME, EFFECTS, setup
 from brdffit.planning.facts import Fact, settled
@@ -106,14 +107,14 @@ def test_a_budget_of_seconds_takes_the_least_db_a_second():
 
 
 def test_effects_are_the_defaults_but_for_the_extra_pass():
-    usual = BakeOptions()
+    usual = FitOptions()
     assert setup(usual, {effect.name for effect in EFFECTS if effect.extra}).options == usual
     assert setup(usual).options == dataclasses.replace(usual, refine=True)
 
 
 @pytest.mark.parametrize("name", BY_NAME)
 def test_an_effect_changes_what_is_its_own(name):
-    on, off = setup(BakeOptions()), setup(BakeOptions(), {name})
+    on, off = setup(FitOptions()), setup(FitOptions(), {name})
     changed = {n for n, value in dataclasses.asdict(off.options).items() if value != getattr(on.options, n)}
     assert changed == set(BY_NAME[name].off) and off != on
     assert bool(changed) != BY_NAME[name].judge
@@ -154,8 +155,8 @@ def test_what_is_dropped_loses_no_more_than_the_plan_says(folder, plans):
         scene = read_scene(folder / f"{name}.toml")
         work = SurfaceWork(scene, scene.surfaces[0], seed=7)
         base = to_svbrdf(work.texture_set, without=planned.unread)
-        pyramid = NonlinearFit().bake(base, BakeOptions(**planned.options))
-        _, lost = work.outcome(planned, pyramid, 0.0)
+        pyramid = NonlinearFit().bake_lobes(base, FitOptions(**planned.options))
+        _, lost = work.outcome(planned, Baked.of_lobes(pyramid), 0.0)
         assert lost.db <= planned.lost_at_most_db + 3.0 * lost.error, name
         assert planned.lost_at_most_db <= scene.budget.db
 

@@ -11,6 +11,7 @@ from export_support import averaged_pyramid, random_svbrdf
 
 from brdffit.appearance import LobePyramid
 from brdffit.library import thumbnail
+from brdffit.methods import Baked
 from brdffit.models import beckmann, get_model
 from brdffit.render import _packing, ball, preview
 from brdffit.render.ball import Part, lit_ball, reference_ball
@@ -154,7 +155,7 @@ def test_captions_fit(text):
 
 def test_a_thumbnail_of_two_balls():
     base = bumpy()
-    picture = thumbnail.make_thumbnail(base, averaged_pyramid(base))
+    picture = thumbnail.make_thumbnail(base, Baked.of_lobes(averaged_pyramid(base)))
     assert picture.shape == (thumbnail.BALL, 2 * thumbnail.BALL + 8, 3) and picture.dtype == np.uint8
     assert picture.max() > 150
 

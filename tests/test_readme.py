@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from brdffit.export.presets import get_preset, preset_names
-from brdffit.methods import QUALITIES, Method
+from brdffit.fitting.options import QUALITIES
+from brdffit.methods import Method
 from brdffit.textures.procedural import make_set
 
 ROOT = Path(__file__).parent.parent

@@ -9,7 +9,8 @@ from export_support import random_svbrdf
 
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.files.image_io import write_mip_exr
-from brdffit.methods import BakeOptions, get_method, method_names
+from brdffit.fitting.options import FitOptions
+from brdffit.methods import get_method, method_names
 from brdffit.models import model_names
 from brdffit.render import scenes
 from brdffit.render.lights import Lights
@@ -80,7 +81,7 @@ def test_a_constant_material_is_the_same_by_every_closed_form(method):
     if method in ("flatten", "height"):
         # They make normals of their own: only the flat material is constant to them.
         base = base.replace(normal=np.broadcast_to(np.array([0, 0, 1], np.float32), (*base.size, 3)).copy())
-    pyramid = get_method(method).bake(base, BakeOptions())
+    pyramid = get_method(method).bake_lobes(base, FitOptions())
     for level in range(4):
         scene = scenes.plane(base.size, level, (4, 4))
         truth = render_reference(base, scene, LIGHTS, samples=64)
@@ -165,7 +166,7 @@ def test_a_shift_by_a_whole_pixel_rolls_the_picture():
     still, moved = (scenes.plane(base.size, 1, (6, 6), shift=(shift, 0.0)) for shift in (0.0, 1.0))
     one, other = (render_reference(base, scene, LIGHTS, samples=64) for scene in (still, moved))
     np.testing.assert_allclose(other[:, :-1], one[:, 1:], rtol=1e-5)
-    levels = [level.svbrdf for level in get_method("naive").bake(base, BakeOptions()).levels]
+    levels = [level.svbrdf for level in get_method("naive").bake_lobes(base, FitOptions()).levels]
     one, other = (render_appearance(levels, scene, LIGHTS) for scene in (still, moved))
     np.testing.assert_allclose(other[:, :-1], one[:, 1:], rtol=1e-5)
 
@@ -218,7 +219,7 @@ def test_four_dimensions_and_two_agree_in_value():
     from brdffit.halfangle.measure import measure
 
     base = smooth_svbrdf((16, 16), roughness=0.5)
-    pyramids = [get_method(name).bake(base, BakeOptions()) for name in ("naive", "vmf", "lean")]
+    pyramids = [get_method(name).bake_lobes(base, FitOptions()) for name in ("naive", "vmf", "lean")]
     levels = [pyramid[2].svbrdf for pyramid in pyramids]
     columns, rows = np.array([0, 1, 3]), np.array([2, 0, 3])
     error, square = pair_errors(base, levels, columns, rows, 16384, terms=LOBE_ONLY, samples=4096)

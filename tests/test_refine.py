@@ -8,6 +8,7 @@ import pytest
 from brdffit.fitting.batch import model_kernels
 from brdffit.fitting.interpolation import PARAMETERS
 from brdffit.fitting.method import NonlinearFit, level_rules, search_settings
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import get_quality
 from brdffit.fitting.refine import _Texels, refine_level
 from brdffit.fitting.tiles import coloured_tiles, sample_points
@@ -15,7 +16,6 @@ from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.measure import snr
 from brdffit.halfangle.quadrature import lattice
-from brdffit.methods import BakeOptions
 from brdffit.models import get_model
 from brdffit.render import scenes
 from brdffit.render.lights import many
@@ -25,7 +25,7 @@ from brdffit.render.reference import render_halves
 from brdffit.svbrdf import Svbrdf
 
 SIZE = (32, 32)
-OPTIONS = BakeOptions(levels=3, quality="draft", threads=1)
+OPTIONS = FitOptions(levels=3, quality="draft", threads=1)
 
 #: Central differences of a sum over some hundred points, each in float32.
 GRADIENT = 2e-3
@@ -71,12 +71,12 @@ def base():
 
 @pytest.fixture(scope="module")
 def pyramid(base):
-    return NonlinearFit().bake(base, OPTIONS)
+    return NonlinearFit().bake_lobes(base, OPTIONS)
 
 
 @pytest.fixture(scope="module")
 def refined(base):
-    return NonlinearFit().bake(base, dataclasses.replace(OPTIONS, refine=True))
+    return NonlinearFit().bake_lobes(base, dataclasses.replace(OPTIONS, refine=True))
 
 
 @pytest.mark.parametrize("model", ["ggx", "beckmann"])
@@ -85,7 +85,7 @@ def test_gradient_is_that_of_the_error(model, spread):
     """Also where lobes are eccentric, lean far over and meet their horizon, and roughness is outside its bounds."""
     base = bumpy(size=(16, 16), spread=0.05)
     options = dataclasses.replace(OPTIONS, model=model, min_roughness=0.3)
-    levels = [level.svbrdf for level in NonlinearFit().bake(base, options).levels]
+    levels = [level.svbrdf for level in NonlinearFit().bake_lobes(base, options).levels]
     packed, points, rule, search, kernels = setting(base, options, coarser=levels[2])
     block = _Texels(levels[1], packed, points, rule, search, kernels).block((range(2, 6), range(0, 5)))
     random = np.random.default_rng(1)
@@ -120,8 +120,8 @@ def test_tiles_cover_a_level_once_and_those_of_a_colour_share_no_point(size, wra
 def test_even_points_are_texel_centres_and_what_is_exact_there_stays(wrap):
     """A base of one lobe: every level is exact everywhere, and comes back bit by bit."""
     base = bumpy(spread=0.0, size=(16, 16), wrap=wrap)
-    plain = NonlinearFit().bake(base, OPTIONS)
-    refined = NonlinearFit().bake(base, dataclasses.replace(OPTIONS, refine=True))
+    plain = NonlinearFit().bake_lobes(base, OPTIONS)
+    refined = NonlinearFit().bake_lobes(base, dataclasses.replace(OPTIONS, refine=True))
     for one, other in zip(plain.levels, refined.levels, strict=True):
         for name, array in one.svbrdf.arrays().items():
             assert np.array_equal(array, other.svbrdf.arrays()[name]), name
@@ -132,7 +132,7 @@ def test_even_points_are_texel_centres_and_what_is_exact_there_stays(wrap):
 def test_error_falls_at_the_points_and_what_is_held_stays(fit, wrap):
     base = bumpy(size=(32, 24), wrap=wrap)
     options = dataclasses.replace(OPTIONS, **fit)
-    level = NonlinearFit().bake(base, options).levels[1].svbrdf
+    level = NonlinearFit().bake_lobes(base, options).levels[1].svbrdf
     found = refine_level(level, *setting(base, options), threads=1)
     assert snr(found.after) > snr(found.before) + GAIN
     assert found.svbrdf.is_finite()
@@ -161,7 +161,7 @@ def test_a_level_worse_than_nothing_is_taken_to_bounds_and_stays_finite():
     """Mirrors on steep slopes beside black texels, levels that a search would leave: finite, bounded, never worse."""
     base = bumpy(spread=1.5, roughness=0.05, size=(16, 16))
     base.specular[::3] = 0.0
-    level = NonlinearFit().bake(base, OPTIONS).levels[1].svbrdf
+    level = NonlinearFit().bake_lobes(base, OPTIONS).levels[1].svbrdf
     level.log_roughness[::2] = (0.0, -12.0, 0.0)
     packed, points, rule, search, kernels = setting(base)
     found = refine_level(level, packed, points, rule, search, kernels, threads=1)
@@ -173,14 +173,14 @@ def test_a_level_worse_than_nothing_is_taken_to_bounds_and_stays_finite():
 
 
 def test_threads_change_nothing(base, refined):
-    other = NonlinearFit().bake(base, dataclasses.replace(OPTIONS, refine=True, threads=2))
+    other = NonlinearFit().bake_lobes(base, dataclasses.replace(OPTIONS, refine=True, threads=2))
     for one, two in zip(refined.levels, other.levels, strict=True):
         for name, array in one.svbrdf.arrays().items():
             assert np.array_equal(array, two.svbrdf.arrays()[name]), name
 
 
 def test_it_is_off_unless_asked_for_and_says_what_it_did(pyramid, refined):
-    assert not BakeOptions().refine
+    assert not FitOptions().refine
     assert not [note for note in pyramid.notes if "interpolates" in note]
     assert [note for note in refined.notes if "interpolates" in note]
     assert not np.array_equal(pyramid[1].svbrdf.normal, refined[1].svbrdf.normal)
@@ -188,7 +188,7 @@ def test_it_is_off_unless_asked_for_and_says_what_it_did(pyramid, refined):
 
 def test_kept_level_stays_as_authored(base):
     options = dataclasses.replace(OPTIONS, refine=True, keep_level_0=True)
-    assert np.array_equal(NonlinearFit().bake(base, options)[0].svbrdf.normal, base.normal)
+    assert np.array_equal(NonlinearFit().bake_lobes(base, options)[0].svbrdf.normal, base.normal)
 
 
 @pytest.mark.parametrize("level", [1, 1.5])

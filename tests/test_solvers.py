@@ -5,12 +5,12 @@ import pytest
 
 from brdffit.fitting.batch import model_kernels
 from brdffit.fitting.method import search_settings
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import get_quality
 from brdffit.fitting.solvers import ORACLE_NODES, Problem, oracle, solve_nlopt, solve_scipy
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.measure import DENSE_SAMPLES, dense_strata, measure_lobes, snr
 from brdffit.halfangle.quadrature import lattice
-from brdffit.methods import BakeOptions
 from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf
 
@@ -26,7 +26,7 @@ RULE_TRUSTED = 0.05
 def search(**options):
     """The settings of a standard fit of a GGX base."""
     ggx = get_model("ggx")
-    return search_settings(BakeOptions(**options), get_quality("standard"), base_of(bumpy()), ggx, ggx)
+    return search_settings(FitOptions(**options), get_quality("standard"), base_of(bumpy()), ggx, ggx)
 
 
 def bumpy(spread=0.15, roughness=0.3, seed=3):

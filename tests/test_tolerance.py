@@ -9,6 +9,7 @@ from test_fitting import bake, check, errors, surface
 
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.fitting.batch import model_kernels
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import quality_of
 from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.fitting.shortcuts import WORK, closed_form
@@ -18,7 +19,6 @@ from brdffit.halfangle.apparent_lobe import base_of, gather_lobes, normalise_mix
 from brdffit.halfangle.measure import random_texels, snr
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, LOBE_COLUMNS, SPECULAR
 from brdffit.halfangle.response import response_of
-from brdffit.methods import BakeOptions
 
 #: Random texels stand for a level, and two rules for the truth.
 SAMPLED = 0.03
@@ -41,8 +41,8 @@ def waves(amplitude, side=128, seed=0):
 def test_a_level_stays_within_its_tolerance_and_closed_forms_serve(tolerance):
     base = waves(0.25)
     sample = LevelSample(base, 1, *random_texels((64, 64), 400, seed=3))
-    best, _ = sample.fit(BakeOptions(quality="fine"))
-    found, output = sample.fit(BakeOptions(tolerance=tolerance))
+    best, _ = sample.fit(FitOptions(quality="fine"))
+    found, output = sample.fit(FitOptions(tolerance=tolerance))
     error = sample.measure([best, found], nodes=1024, samples=(16, 32)).error
     assert snr(error[0]) - snr(error[1]) <= tolerance + SAMPLED
     assert 0.05 < (output.status == CLOSED_FORM).mean() < 0.95
@@ -98,7 +98,7 @@ def test_the_closed_form_is_as_near_to_the_best_lobe_as_it_promises(spread, alph
     promised, lobe, own = closed(base, response(held=held), held=held)
     if promised > 1e-2:
         return
-    options = BakeOptions(specular="held" if held else "free", quality="fine")
+    options = FitOptions(specular="held" if held else "free", quality="fine")
     sample = LevelSample(base, 1, np.zeros(1, np.int64), np.zeros(1, np.int64), options)
     error = sample.measure([lobe, sample.fit()[0]], nodes=2048, samples=(8, 16)).error[:, 0]
     # The dense rule and the fit differ by so much themselves.
@@ -152,7 +152,7 @@ def test_what_the_closed_form_cannot_serve_is_left_to_the_search():
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, float("nan")])
 def test_a_tolerance_is_above_zero(tolerance):
     with pytest.raises(InputError, match=r"^The tolerance is .* dB; it must be above 0\.$"):
-        quality_of(BakeOptions(tolerance=tolerance))
+        quality_of(FitOptions(tolerance=tolerance))
 
 
 def test_l2_is_best_in_l2_and_the_others_lie_lower_in_the_tail():

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from brdffit.baking import bake_options
-from brdffit.methods import BakeOptions, Method, get_method, one_of
+from brdffit.fitting.options import FitOptions
+from brdffit.methods import Method, get_method, method_names, one_of
+from brdffit.options import BakeOptions, known_options, make_options, refuse_unknown
 from brdffit.render.lights import Lights
 from brdffit.render.terms import Terms
 
@@ -34,7 +34,7 @@ class Ask:
         lit: what lights the pictures, in turn.
         terms: of the BRDF that are simulated.
         unread: roles of maps that the fit is not given; the reference and the baselines see all.
-        options: of the bake, see ``BakeOptions``.
+        options: of the bake, each for those methods that have it, see ``brdffit methods NAME``.
         reading: how a folder is read, see ``read_texture_set``.
     """
 
@@ -50,7 +50,7 @@ class Ask:
     lit: tuple[str, ...] = LIGHTINGS
     terms: Terms = field(default_factory=Terms)
     unread: tuple[str, ...] = ()
-    options: BakeOptions = field(default_factory=BakeOptions)
+    options: Mapping[str, Any] = field(default_factory=dict)
     reading: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -70,14 +70,19 @@ class Ask:
         """
         names = tuple(dict.fromkeys(name for each in methods for name in each.split(",") if name))
         for name in names:
-            variant(name, BakeOptions())
+            variant(name, {})
         small: dict[str, Any] = {}
         if quick:
             small = {"pixels": 96, "frames": 32, "texels": 16, "pairs": 256, "lobes": 3, "samples": "draft"}
+        refuse_unknown({name: variant(name, {})[0].options for name in names or method_names()}, options)
+        if quick:
             options = {"quality": "draft"} | options
-        return cls(
-            methods=names, environment=environment, reading=reading or {}, options=bake_options(None, options), **small
-        )
+        return cls(methods=names, environment=environment, reading=reading or {}, options=options, **small)
+
+    @property
+    def shared(self) -> FitOptions:
+        """What the options say of that which all methods are measured by: pixel filter, density, reach, threads."""
+        return make_options(FitOptions, known_options(FitOptions, self.options), "'bfgs'")
 
 
 #: Words that may follow a method's name after "+": the same method with another option.
@@ -92,16 +97,18 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 
 
-def variant(name: str, options: BakeOptions) -> tuple[Method, BakeOptions]:
+def variant(name: str, options: Mapping[str, Any]) -> tuple[Method, BakeOptions]:
     """The method that a name such as "bfgs" or "bfgs+held" stands for, and the options it bakes with.
 
     Raises:
-        UnknownNameError: for a method or a variant that does not exist.
+        UnknownNameError: for a method or a variant that does not exist, or an option that the method does not have.
     """
-    method, *words = name.split("+")
+    base, *words = name.split("+")
+    method = get_method(base)
+    own: dict[str, Any] = {}
     for word in words:
-        options = dataclasses.replace(options, **VARIANTS[one_of("variant of a method", word, tuple(VARIANTS))])
-    return get_method(method), options
+        own |= VARIANTS[one_of("variant of a method", word, tuple(VARIANTS))]
+    return method, make_options(method.options, known_options(method.options, options) | own, f"'{base}'")
 
 
 class Listener(Protocol):

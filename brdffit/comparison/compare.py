@@ -59,12 +59,13 @@ def compare(
         work = SetWork(name, source, asks[number], methods, _studio(asks[number]), listener)
         results.append(work.run())
         pictures.update(work.pictures)
+    options: dict[str, Any] = {name: _plain(value) for name, value in asdict(ask.shared).items()}
     comparison = Comparison(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         command=command,
-        machine=machine() | {"threads": ask.options.threads or os.cpu_count()},
+        machine=machine() | {"threads": ask.shared.threads or os.cpu_count()},
         options={
-            **asdict(ask.options), "environment": Path(ask.environment).name if ask.environment else "procedural",
+            **options, "environment": Path(ask.environment).name if ask.environment else "procedural",
             "pixels": ask.pixels, "frames": ask.frames, "texels": ask.texels, "pairs": ask.pairs,
             "samples": ask.samples,
         },
@@ -81,9 +82,14 @@ def compare(
 def _studio(ask: Ask) -> Studio:
     return Studio(
         pixels=ask.pixels, frames=ask.frames, samples=ask.samples, environment=read_environment(ask.environment),
-        lights=ask.lights or light_sets.few(), lit=ask.lit, terms=ask.terms, reach=ask.options.reach,
-        pixel_filter=ask.options.pixel_filter, threads=ask.options.threads,
+        lights=ask.lights or light_sets.few(), lit=ask.lit, terms=ask.terms, reach=ask.shared.reach,
+        pixel_filter=ask.shared.pixel_filter, threads=ask.shared.threads,
     )  # fmt: skip
+
+
+def _plain(value: Any) -> Any:
+    """A value as records hold it: of several numbers, their text."""
+    return value if value is None or isinstance(value, (bool, int, float, str)) else ",".join(map(str, value))
 
 
 def _name(source: Any, number: int) -> str:

@@ -19,7 +19,8 @@ from brdffit.fitting.batch import model_kernels
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import Measured, measure, random_texels, snr
-from brdffit.methods import Pyramid
+from brdffit.methods import DEFAULT, Baked, Material
+from brdffit.pipeline import Phases, ReadSet, read_set, run
 from brdffit.render import metrics, scenes
 from brdffit.render.pairs import pair_errors
 from brdffit.report.records import (
@@ -33,20 +34,18 @@ from brdffit.report.records import (
     capped,
 )
 from brdffit.svbrdf import Svbrdf, level_sizes
-from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.reading import read_texture_set
-from brdffit.textures.texture_set import TextureSet
 
 #: Levels whose lobes are shown, held to those that a set has.
 _LOBE_LEVELS = (1, 3, 5)
 _MEASURE_NODES, _MEASURE_SAMPLES = 1024, (16, 96)
+_NO_LOBES = "It bakes no lobes: half-angle figures, lobes and roughness maps are left out."
 #: Side of the picture on which the texels of the lobes are marked, at most.
 _OVERVIEW = 256
 
 
 def fit_of(methods: Sequence[str]) -> str:
     """The method that the others are held against: ours, else the first."""
-    return "bfgs" if "bfgs" in methods else methods[0]
+    return DEFAULT if DEFAULT in methods else methods[0]
 
 
 class SetWork:
@@ -59,31 +58,31 @@ class SetWork:
         self.seconds: dict[str, float] = {}
         self.pictures: PictureFiles = {}
         self.skipped: list[Skipped] = []
-        self.texture_set: TextureSet | None = None
+        self.options = ask.shared
         with self._phase("reading"):
-            if isinstance(source, Svbrdf):
-                self.base = source
-            else:
-                is_set = isinstance(source, TextureSet)
-                self.texture_set = source if is_set else read_texture_set(source, **ask.reading)
-                self.base = to_svbrdf(self.texture_set, min_roughness=ask.options.min_roughness)
+            self.read = read_set(source, ask.reading, self.options)
+            self.base = self.read.material.svbrdf
 
     def run(self) -> SetResult:
         """Everything, in order."""
         baked, seconds = self._bake()
-        pyramids = {name: [level.svbrdf for level in pyramid.levels] for name, pyramid in baked.items()}
-        fit = fit_of(list(pyramids))
-        kept = self._kept(pyramids[fit], fit)
+        lobes_of = {name: each.lobes for name, each in baked.items() if each.lobes is not None}
+        pyramids = {name: [level.svbrdf for level in pyramid.levels] for name, pyramid in lobes_of.items()}
+        # What is no pyramid of lobes is drawn by what it says of itself.
+        drawn = {name: pyramids.get(name, each.appearance) for name, each in baked.items()}
+        fit = fit_of(list(baked))
+        depth = min(len(each.sizes) for each in baked.values())
+        kept = self._kept(pyramids[fit], fit) if fit in pyramids else {}
         with self._phase("half-angle error"):
             half_angle = [
                 self._measure({name: levels[k] for name, levels in pyramids.items()}, *self._texels(k))
-                for k in range(_depth(pyramids))
+                for k in range(depth)
             ]
         with self._phase("pairs of light and viewer"):
-            pairs = self._pairs(pyramids)
+            pairs = self._pairs(pyramids, depth)
         views = []
         with self._phase("pictures"):
-            for view, shown in all_views(self.base, pyramids, kept, self.studio, self._tell):
+            for view, shown in all_views(self.base, drawn, kept, depth, self.studio, self._tell):
                 for name, picture in shown.items():
                     self._store(f"{view.key}-{name}", picture)
                 view.reference = self._path(f"{view.key}-reference")
@@ -91,59 +90,63 @@ class SetWork:
                     shot.picture = self._path(f"{view.key}-{shot.method}")
                 views.append(view)
         with self._phase("lobes"):
-            lobes = self._lobes(pyramids, half_angle, fit)
+            lobes = (
+                self._lobes(pyramids, half_angle, fit if fit in pyramids else next(iter(pyramids))) if pyramids else []
+            )
             overview = self._overview()
         with self._phase("maps"):
             maps = {name: self._store(f"maps-{name}", map_strip(levels)) for name, levels in pyramids.items()}
-        sizes = [level.size for level in pyramids[fit]]
+        sizes = level_sizes(self.base.size, depth)
         results = [
             MethodResult(
                 method=name,
                 seconds=seconds[name],
-                maps=maps[name],
-                notes=baked[name].notes,
+                maps=maps.get(name, ""),
+                notes=baked[name].notes + ([] if name in pyramids else [_NO_LOBES]),
                 levels=[
-                    LevelFigures(
-                        level=k,
-                        size=size,
-                        pair_snr_db=pairs[k][name],
-                        energy_kept=float(half_angle[k][name].energy.mean()),
-                        half_angle_snr_db=capped(snr(half_angle[k][name].error)),
-                    )
+                    self._level(k, size, half_angle[k].get(name), pairs[k].get(name))
                     for k, size in enumerate(sizes)
                 ],
             )
-            for name in pyramids
+            for name in baked
         ]  # fmt: skip
-        read = self.texture_set
+        read = self.read
         return SetResult(
             name=self.name, size=self.base.size, wrap=self.base.wrap, methods=results, skipped=self.skipped,
             distances=distances_of(self.base.size, len(sizes), self.studio.reach), views=views, lobes=lobes,
             overview=overview,
             maps_levels=len(sizes), seconds={name: round(value, 3) for name, value in self.seconds.items()},
-            inputs={role: each.path.name for role, each in read.maps.items()} if read else {},
-            notes=list(read.notes) if read else [],
+            inputs={role: path.name for role, path in read.inputs()}, notes=read.notes,
         )  # fmt: skip
 
-    def _bake(self) -> tuple[dict[str, Pyramid], dict[str, float]]:
-        """Pyramids and seconds by method; a method that cannot is noted with its sentence."""
-        baked: dict[str, Pyramid] = {}
+    @staticmethod
+    def _level(k: int, size: tuple[int, int], measured: Measured | None, pairs: float | None) -> LevelFigures:
+        if measured is None:
+            return LevelFigures(level=k, size=size)
+        return LevelFigures(
+            level=k, size=size, pair_snr_db=pairs, energy_kept=float(measured.energy.mean()),
+            half_angle_snr_db=capped(snr(measured.error)),
+        )  # fmt: skip
+
+    def _bake(self) -> tuple[dict[str, Baked], dict[str, float]]:
+        """Results and seconds by method; a method that cannot is noted with its sentence."""
+        baked: dict[str, Baked] = {}
         seconds: dict[str, float] = {}
         for number, name in enumerate(self.methods):
             method, options = variant(name, self.ask.options)
-            prepare = getattr(method, "prepare", None)
-            if prepare is not None:
-                with self._phase("compiling"):
-                    prepare(options.model, self.base.model, options)
-            with self._phase("baking", f"baking by {name} ({number + 1} of {len(self.methods)})"):
-                start = time.perf_counter()
-                try:
-                    base = self.base.without(self.ask.unread) if name == fit_of(self.methods) else self.base
-                    baked[name] = method.bake(base, options, self.listener)
-                except InputError as error:
-                    self.skipped.append(Skipped(method=name, reason=str(error)))
-                    continue
-                seconds[name] = time.perf_counter() - start
+            base = self.base.without(self.ask.unread) if name == fit_of(self.methods) else self.base
+            read = ReadSet(self.name, Material(base))
+            phases = Phases(self.listener)
+            self._tell(f"baking by {name} ({number + 1} of {len(self.methods)})")
+            try:
+                baked[name] = run(read, method, options, phases)
+            except InputError as error:
+                self.skipped.append(Skipped(method=name, reason=str(error)))
+                continue
+            finally:
+                for phase, took in phases.seconds.items():
+                    self.seconds[phase] = self.seconds.get(phase, 0.0) + took
+            seconds[name] = phases.seconds["fitting"]
         if not baked:
             reasons = " ".join(each.reason for each in self.skipped)
             raise InputError(f"No method can bake '{self.name}': {reasons}")
@@ -151,13 +154,13 @@ class SetWork:
 
     def _kept(self, levels: Sequence[Svbrdf], fit: str) -> Pyramids:
         """The fit with level 0 as authored, where that is another level 0."""
-        if levels[0].model != self.base.model or self.ask.options.keep_level_0:
+        if levels[0].model != self.base.model or self.options.keep_level_0:
             return {}
         return {fit + KEPT_SUFFIX: [self.base, *levels[1:]]}
 
     def _measure(self, level: Mapping[str, Svbrdf], columns: NDArray, rows: NDArray) -> dict[str, Measured]:
         """Half-angle error and energy kept (n,) of each method's version of a level."""
-        source, options = model_of(self.base.model), self.ask.options
+        source, options = model_of(self.base.model), self.options
         base = base_of(self.base, source.default_shape)
         found: dict[str, Measured] = {}
         for names in _by_model(level):
@@ -171,15 +174,15 @@ class SetWork:
             found |= {name: Measured(*(each[m] for each in together)) for m, name in enumerate(names)}
         return {name: found[name] for name in level}
 
-    def _pairs(self, pyramids: Pyramids) -> list[dict[str, float]]:
+    def _pairs(self, pyramids: Pyramids, depth: int) -> list[dict[str, float]]:
         """Per level and method the SNR in dB of the whole BRDF over random pairs of light and viewer.
 
         Many pairs with few samples of the footprint each: the samples' noise averages out of ``pair_errors``, and which
         pairs meet a highlight is by far the larger chance.
         """
         figures = []
-        options = self.ask.options
-        for k in range(_depth(pyramids)):
+        options = self.options
+        for k in range(depth):
             columns, rows = self._texels(k)
             of_level: dict[str, float] = {}
             for names in _by_model({name: levels[k] for name, levels in pyramids.items()}):
@@ -208,7 +211,7 @@ class SetWork:
                 found = self._measure(level, np.array([place[0]]), np.array([place[1]]))
                 errors = {name: snr(each.error) for name, each in found.items()}
                 views.append(
-                    lobe_view(self.base, level, k, place, pixel_filter=self.ask.options.pixel_filter, errors=errors)
+                    lobe_view(self.base, level, k, place, pixel_filter=self.options.pixel_filter, errors=errors)
                 )
         return views
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.appearance import Appearance
 from brdffit.comparison.ask import ENVIRONMENT, LIGHTINGS, SMALL_LIGHTS
 from brdffit.render import metrics, scenes
 from brdffit.render.environment import Environment
@@ -74,7 +75,7 @@ class Studio:
             threads=self.threads,
         )  # fmt: skip
 
-    def method(self, levels: Sequence[Svbrdf], scene: Scene, lit: str) -> NDArray:
+    def method(self, levels: Sequence[Svbrdf] | Appearance, scene: Scene, lit: str) -> NDArray:
         """(h, w, 3) linear radiance."""
         return render_appearance(
             levels,
@@ -94,6 +95,8 @@ class Studio:
 
 #: Levels of a pyramid by the name of the method, finest first.
 Pyramids = Mapping[str, Sequence[Svbrdf]]
+#: Results as they are drawn: levels of lobes, or an appearance, by the name of the method.
+Drawn = Mapping[str, Sequence[Svbrdf] | Appearance]
 #: told(what): a picture is about to be rendered.
 Told = Callable[[str], None]
 
@@ -113,17 +116,18 @@ def distances_of(
 
 
 def all_views(
-    base: Svbrdf, pyramids: Pyramids, kept: Pyramids, studio: Studio, told: Told = lambda what: None
+    base: Svbrdf, pyramids: Drawn, kept: Pyramids, depth: int, studio: Studio, told: Told = lambda what: None
 ) -> Iterator[tuple[View, dict[str, NDArray]]]:
     """Every view of a set with its pictures by name ("reference" and methods), displayed, (h, w, 3) float32 in [0, 1].
 
     Args:
         base: the set.
-        pyramids: of the methods.
+        pyramids: of the methods; a result without lobes is its appearance.
         kept: pyramids whose level 0 is as authored; they are seen where level 0 is.
+        depth: how many levels all of them have.
         studio: pixels, lights and samples.
     """
-    levels = distances_of(base.size, len(next(iter(pyramids.values()))), studio.reach)
+    levels = distances_of(base.size, depth, studio.reach)
     near, main = levels["near"], studio.lit[0]
     pixels = (studio.pixels, studio.pixels)
     small = (studio.pixels * 2 // 3,) * 2  # a pixel under an environment costs ten times as much
@@ -188,7 +192,7 @@ class _Taken:
         return {"reference": self.reference.radiance, **self.methods}
 
 
-def _take(base: Svbrdf, pyramids: Pyramids, scene: Scene, lit: str, studio: Studio) -> _Taken:
+def _take(base: Svbrdf, pyramids: Drawn, scene: Scene, lit: str, studio: Studio) -> _Taken:
     methods = {name: studio.method(levels, scene, lit) for name, levels in pyramids.items()}
     return _Taken(studio.reference(base, scene, lit), methods)
 
@@ -229,7 +233,7 @@ def _shift_view(
     return view, pictures
 
 
-def _rotation_view(base: Svbrdf, pyramids: Pyramids, studio: Studio, near: int) -> tuple[View, dict[str, NDArray]]:
+def _rotation_view(base: Svbrdf, pyramids: Drawn, studio: Studio, near: int) -> tuple[View, dict[str, NDArray]]:
     """A column of pixels while the lights turn slowly, a frame beside the other.
 
     The change is measured over several columns; the one that is shown is that in which the reference moves most.

@@ -21,14 +21,14 @@ import numpy as np
 
 from brdffit.files.atomic import first_other
 from brdffit.machine import versions
-from brdffit.methods import Level, Pyramid
+from brdffit.methods import Baked, Level
 
 FORMAT = 1
 FILE_NAME = "manifest.json"
 
 
 def build_manifest(
-    pyramid: Pyramid,
+    baked: Baked,
     *,
     name: str,
     inputs: Iterable[tuple[str, str | Path]] = (),
@@ -38,10 +38,10 @@ def build_manifest(
     notes: Iterable[str] = (),
     digests: Mapping[Path, str] | None = None,
 ) -> dict[str, Any]:
-    """The manifest of a pyramid, before it is written (`write_pyramid` adds what it wrote).
+    """The manifest of a result, before it is written (`write_baked` adds what it wrote).
 
     Args:
-        pyramid: what a method returned.
+        baked: what a method returned.
         name: name of the set.
         inputs: (role, path) of every file that was read; paths are recorded by file name, contents by SHA-256.
         conventions: how the inputs were read: normal Y, wrap, roughness convention, and the like.
@@ -53,30 +53,29 @@ def build_manifest(
     Raises:
         OSError: when an input cannot be read any more.
     """
-    options = dataclasses.asdict(pyramid.options)
+    options = dataclasses.asdict(baked.options)
     threads = options.pop("threads")
-    base = pyramid[0].svbrdf
     known = digests or {}
     return {
         "format": FORMAT,
         "name": name,
         "versions": versions(),
-        "method": pyramid.method,
-        "model": pyramid.model,
+        "method": baked.method,
+        "model": baked.lobes.model if baked.lobes else None,
         "options": options,
-        "wrap": base.wrap,
+        "wrap": baked.lobes[0].svbrdf.wrap if baked.lobes else (conventions or {}).get("wrap"),
         "conventions": dict(conventions or {}),
         "inputs": [
             {"role": role, "file": Path(path).name, "sha256": known.get(Path(path)) or file_digest(path)}
             for role, path in sorted((role, str(path)) for role, path in inputs)
         ],
         "levels": [
-            level_record(level, k, status_names, measured[k] if k < len(measured) else {})
-            for k, level in enumerate(pyramid.levels)
+            level_record(size, k, level, status_names, measured[k] if k < len(measured) else {})
+            for k, (size, level) in enumerate(zip(baked.sizes, baked.levels, strict=True))
         ],
-        "notes": [*pyramid.notes, *notes],
+        "notes": [*baked.notes, *notes],
         "volatile": {
-            "seconds": [level.seconds for level in pyramid.levels],
+            "seconds": [level.seconds if level else None for level in baked.levels],
             "threads": threads or os.cpu_count(),
             "machine": f"{platform.system()} {platform.machine()}",
         },
@@ -84,15 +83,21 @@ def build_manifest(
 
 
 def level_record(
-    level: Level, mip_level: int, status_names: Sequence[str] = (), measured: Mapping[str, Any] | None = None
+    size: tuple[int, int],
+    mip_level: int,
+    level: Level | None,
+    status_names: Sequence[str] = (),
+    measured: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """What the manifest says of one level.
+    """What the manifest says of one level; ``level`` is None where there are no lobes.
 
     ``residual_snr_db`` is -10 log10 of the mean residual as the method itself saw it; null for closed forms, and where
     nothing is left of the residual.
     """
-    height, width = level.svbrdf.size
+    height, width = size
     record: dict[str, Any] = {"level": mip_level, "width": width, "height": height, "texels": height * width}
+    if level is None:
+        return {**record, **(measured or {})}
     if level.status is not None:
         counts = np.bincount(level.status.ravel())
         record["statuses"] = {

@@ -6,7 +6,7 @@ derived quantities are computed in bands of rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +19,10 @@ from brdffit.export.presets import Channels, Picture, Preset, get_preset
 from brdffit.files import atomic
 from brdffit.files.image_io import read_mip_exr, write_mip_exr, write_png
 from brdffit.footprint import filter_channels, get_pixel_filter
-from brdffit.methods import Pyramid
-from brdffit.roughness import tensor_from_log
+from brdffit.methods import Baked, Image, Pyramid
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 _TEXELS_PER_BAND = 1 << 20
-#: EXR files: name, channels, what of the SVBRDF they hold.
-_EXR_FILES: tuple[tuple[str, tuple[str, ...], Callable[[Svbrdf], NDArray]], ...] = (
-    ("normal", ("X", "Y", "Z"), lambda svbrdf: svbrdf.normal),
-    ("roughness", ("XX", "YY", "XY"), lambda svbrdf: tensor_from_log(svbrdf.log_roughness)),
-    ("specular", ("R", "G", "B"), lambda svbrdf: svbrdf.specular),
-    ("diffuse", ("R", "G", "B"), lambda svbrdf: svbrdf.diffuse),
-)
 
 
 def check_writable(folder: str | Path, size: tuple[int, int] | None = None) -> None:
@@ -48,8 +40,8 @@ def check_writable(folder: str | Path, size: tuple[int, int] | None = None) -> N
     atomic.check_writable(folder, foreign_file, needed)
 
 
-def write_pyramid(
-    pyramid: Pyramid,
+def write_baked(
+    baked: Baked,
     folder: str | Path,
     *,
     name: str,
@@ -58,7 +50,7 @@ def write_pyramid(
     manifest: Mapping[str, Any],
     preview: NDArray | None = None,
 ) -> dict[str, Any]:
-    """Write a pyramid into ``folder`` (OUT/<set>), which is replaced as a whole or left as it was.
+    """Write a result into ``folder`` (OUT/<set>), which is replaced as a whole or left as it was.
 
     Writes normal.exr, roughness.exr (the tensor in alpha^2), specular.exr, diffuse.exr, shape.exr where the model has a
     shape parameter, mips/<name>_<role>.<level>.png, manifest.json and, if given, preview.png. A pyramid that stops
@@ -66,7 +58,7 @@ def write_pyramid(
     that stops short; the manifest lists those levels under ``filled_levels``. The pictures stop where the pyramid does.
 
     Args:
-        pyramid: what a method returned.
+        baked: what a method returned; pictures for engines are drawn of lobes alone.
         folder: output folder of this set.
         name: name of the set, in the pictures' names.
         preset: name of a preset, see `presets`.
@@ -86,9 +78,8 @@ def write_pyramid(
         raise ValueError(f"bits is {bits}, expected 8 or 16")
     with atomic.replacing(folder, foreign_file) as fresh:
         record = dict(manifest)
-        filled = _write_exr_files(pyramid, fresh)
-        record["filled_levels"] = filled
-        record["pictures"] = _write_pictures(pyramid, fresh, name, chosen, bits)
+        record["filled_levels"] = _write_exr_files(baked, fresh, record["wrap"])
+        record["pictures"] = _write_pictures(baked.lobes, fresh, name, chosen, bits) if baked.lobes else {}
         record["preset"] = {
             "name": chosen.name,
             "normal_y": chosen.normal_y,
@@ -164,22 +155,18 @@ def _write_pictures(pyramid: Pyramid, fresh: Path, name: str, preset: Preset, bi
     }
 
 
-def _write_exr_files(pyramid: Pyramid, fresh: Path) -> list[int]:
-    """Write the EXR files; the levels that the pyramid lacks and that were filled."""
-    sizes = level_sizes(pyramid[0].svbrdf.size)
-    files = list(_EXR_FILES)
-    if pyramid[0].svbrdf.shape is not None:
-        files.append(("shape", ("Y",), _shape))
-    for file_name, channels, quantity in files:
-        levels = [_in_bands(level.svbrdf, quantity, len(channels)) for level in pyramid.levels]
+def _write_exr_files(baked: Baked, fresh: Path, wrap: str) -> list[int]:
+    """Write the EXR files; the levels that the result lacks and that were filled."""
+    sizes = level_sizes(baked.sizes[0])
+    for image in baked.images():
+        levels = [_whole_level(image, k) for k in range(len(image.sizes))]
         for size in sizes[len(levels) :]:
-            averaged = filter_channels(levels[-1], size, get_pixel_filter("box"), pyramid[0].svbrdf.wrap)
-            if file_name == "normal":
-                averaged = _normalised(averaged)
-            levels.append(averaged)
-        write_mip_exr(fresh / f"{file_name}.exr", levels, channels)
-        _verify(fresh / f"{file_name}.exr", levels, channels)
-    return list(range(len(pyramid), len(sizes)))
+            averaged = filter_channels(levels[-1], size, get_pixel_filter("box"), wrap)
+            levels.append(_normalised(averaged) if image.unit else averaged)
+        path = fresh / f"{image.name}.exr"
+        write_mip_exr(path, levels, image.channels)
+        _verify(path, levels, image.channels)
+    return list(range(len(baked.sizes), len(sizes)))
 
 
 def _verify(path: Path, levels: Sequence[NDArray], channels: Sequence[str]) -> None:
@@ -198,11 +185,6 @@ def _normalised(normal: NDArray) -> NDArray:
     return np.where(length > 1e-6, normal / np.maximum(length, 1e-6), up).astype(np.float32)
 
 
-def _shape(svbrdf: Svbrdf) -> NDArray:
-    assert svbrdf.shape is not None
-    return svbrdf.shape[..., None]
-
-
 def _bands(size: tuple[int, int]) -> Iterator[slice]:
     rows = max(1, _TEXELS_PER_BAND // size[1])
     for start in range(0, size[0], rows):
@@ -213,8 +195,8 @@ def _rows(svbrdf: Svbrdf, rows: slice) -> Svbrdf:
     return svbrdf.replace(**{field: array[rows] for field, array in svbrdf.arrays().items()})
 
 
-def _in_bands(svbrdf: Svbrdf, quantity: Callable[[Svbrdf], NDArray], channels: int) -> NDArray:
-    out = np.empty((*svbrdf.size, channels), np.float32)
-    for rows in _bands(svbrdf.size):
-        out[rows] = quantity(_rows(svbrdf, rows))
+def _whole_level(image: Image, mip_level: int) -> NDArray:
+    out = np.empty((*image.sizes[mip_level], len(image.channels)), np.float32)
+    for rows in _bands(image.sizes[mip_level]):
+        out[rows] = image.rows(mip_level, rows)
     return out

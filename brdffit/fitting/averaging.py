@@ -7,15 +7,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.fitting.options import FitOptions
 from brdffit.footprint import get_pixel_filter, iter_pyramid
-from brdffit.methods import BakeOptions
 from brdffit.models import Model
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 
 
 def averaged_levels(
-    svbrdf: Svbrdf, sizes: Sequence[tuple[int, int]], options: BakeOptions, target: Model
+    svbrdf: Svbrdf, sizes: Sequence[tuple[int, int]], options: FitOptions, target: Model
 ) -> Iterator[Svbrdf]:
     """Levels of these sizes, finest first: colours, occlusion, perceptual roughness and normals averaged.
 
@@ -58,7 +58,7 @@ def _roughness(svbrdf: Svbrdf) -> NDArray:
     return np.stack([perceptual, 0.5 * (a - b), c], axis=2)
 
 
-def _log_tensor(roughness: NDArray, options: BakeOptions, target: Model) -> NDArray:
+def _log_tensor(roughness: NDArray, options: FitOptions, target: Model) -> NDArray:
     """Log tensors (h, w, 3) of averaged ``_roughness``, eigenvalues between the floor and 1."""
     lowest = 4.0 * np.log(options.min_roughness)
     mean = np.clip(4.0 * np.log(np.maximum(roughness[..., 0], 1e-6)), lowest, 0.0)

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from brdffit.errors import InputError
 from brdffit.fitting.batch import ModelKernels, Output, model_kernels
+from brdffit.fitting.options import COLOURS, FitOptions
 from brdffit.fitting.status import NO_SPECULAR
 from brdffit.halfangle.apparent_lobe import Base
-from brdffit.methods import COLOURS, BakeOptions, one_of
+from brdffit.methods import one_of
 from brdffit.models import Model
 
 #: Of linear RGB (Rec. 709).
@@ -37,7 +38,7 @@ class Seen(NamedTuple):
     hue: bool
 
 
-def seen_by(base: Base, options: BakeOptions) -> Seen:
+def seen_by(base: Base, options: FitOptions) -> Seen:
     """What a fit under these options sees.
 
     Raises:
@@ -76,7 +77,7 @@ def complete(output: Output, seen: Seen, averages: Mapping[str, NDArray]) -> Non
         np.multiply(output.specular, colour, out=output.specular, casting="same_kind")
 
 
-def kernels_of(options: BakeOptions, source: Model, target: Model, float_width: int = 32) -> ModelKernels:
+def kernels_of(options: FitOptions, source: Model, target: Model, float_width: int = 32) -> ModelKernels:
     """The kernels that a fit under these options needs."""
     return model_kernels(
         source.name, target.name, float_width, horizon=options.horizon, turns=options.normal != "mean",

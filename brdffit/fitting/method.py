@@ -25,6 +25,7 @@ from brdffit.fitting.batch import (
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
 from brdffit.fitting.effects import Seen, complete, kernels_of, reached, seen_by
 from brdffit.fitting.losses import LOSS_CODES
+from brdffit.fitting.options import LOSSES, FitOptions
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.refine import refine_pyramid
 from brdffit.fitting.status import FALLBACK, KEPT, NOT_REACHED
@@ -35,7 +36,7 @@ from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import PERFECT_DB, random_texels
 from brdffit.halfangle.quadrature import lattice
 from brdffit.halfangle.response import NO_RESPONSE, response_of
-from brdffit.methods import LOSSES, BakeOptions, Level, Progress, Pyramid, one_of
+from brdffit.methods import Level, LobeMethod, Material, Progress, Pyramid, one_of
 from brdffit.models import Model, get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
 
@@ -49,20 +50,22 @@ _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
 _LAXEST = 1e-2
 
 
-class NonlinearFit:
+class NonlinearFit(LobeMethod):
     """Per texel and level: one lobe fitted to the average of all lobes under the pixel filter."""
 
     name = "bfgs"
     summary = "nonlinear fit of the lobe to the filtered lobes, by BFGS on the half-angle error integral (default)"
 
-    def prepare(self, model: str, source_model: str = "ggx", options: BakeOptions | None = None) -> None:
-        """Compile (or load from the cache) what a bake needs, so that it is told apart from the fitting time."""
-        fitting_kernel(32)
-        model_kernels(source_model, model)
-        if options is not None:
-            kernels_of(options, get_model(source_model), get_model(model))
+    options = FitOptions
 
-    def bake(self, svbrdf: Svbrdf, options: BakeOptions, progress: Progress | None = None) -> Pyramid:
+    def prepare(self, material: Material, options: FitOptions) -> None:
+        """Compile (or load from the cache) what a bake needs, so that it is told apart from the fitting time."""
+        source, target = get_model(material.svbrdf.model), get_model(options.model)
+        fitting_kernel(32)
+        model_kernels(source.name, target.name)
+        kernels_of(options, source, target)
+
+    def bake_lobes(self, svbrdf: Svbrdf, options: FitOptions, progress: Progress | None = None) -> Pyramid:
         """Fit every level from the base.
 
         Raises:
@@ -146,7 +149,7 @@ def level_rules(
     return LevelRules(chosen, max(quality.room, 2 * chosen.samples), points)
 
 
-def search_settings(options: BakeOptions, quality: Quality, base: Base, source: Model, target: Model) -> Search:
+def search_settings(options: FitOptions, quality: Quality, base: Base, source: Model, target: Model) -> Search:
     """Settings of the search from what the user asked for."""
     free = FREE_NORMAL if one_of("normal", options.normal, ("free", "mean")) == "free" else 0
     if one_of("lobe", options.lobe, ("anisotropic", "isotropic")) == "anisotropic" and not target.isotropic:
@@ -180,7 +183,7 @@ def search_settings(options: BakeOptions, quality: Quality, base: Base, source: 
 
 
 def tolerant(
-    search: Search, options: BakeOptions, base: Base, rules: LevelRules, size: tuple[int, int], mip_level: int,
+    search: Search, options: FitOptions, base: Base, rules: LevelRules, size: tuple[int, int], mip_level: int,
     kernels: ModelKernels,
 ) -> Search:  # fmt: skip
     """``search`` for one level under ``options.tolerance``: how much error each shortcut of a texel may cost.

@@ -6,7 +6,8 @@ import dataclasses
 from dataclasses import dataclass
 
 from brdffit.errors import InputError
-from brdffit.methods import QUALITIES, BakeOptions, one_of
+from brdffit.fitting.options import QUALITIES, FitOptions
+from brdffit.methods import one_of
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ _NODES_TIMES_DB = 16.0
 _FEWEST, _MOST = 64, 1024
 
 
-def quality_of(options: BakeOptions) -> Quality:
+def quality_of(options: FitOptions) -> Quality:
     """The preset that was asked for, or what a tolerance in dB calls for.
 
     Raises:

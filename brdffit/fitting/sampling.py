@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from brdffit.fitting.batch import LevelRules, ModelKernels, Output, fit_texels, make_output, model_kernels
 from brdffit.fitting.effects import Seen, complete, kernels_of, seen_by
 from brdffit.fitting.method import level_rules, search_settings, tolerant
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.texel import Search
 from brdffit.footprint import filter_texels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import DENSE_NODES, DENSE_SAMPLES, Measured, measure_lobes
-from brdffit.methods import BakeOptions
 from brdffit.models import Model, get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
 
@@ -48,10 +48,10 @@ class LevelSample:
     """
 
     def __init__(
-        self, svbrdf: Svbrdf, mip_level: int, columns: NDArray, rows: NDArray, options: BakeOptions | None = None,
+        self, svbrdf: Svbrdf, mip_level: int, columns: NDArray, rows: NDArray, options: FitOptions | None = None,
         *, base: Base | None = None, threads: int | None = None,
     ) -> None:  # fmt: skip
-        self.options = options or BakeOptions()
+        self.options = options or FitOptions()
         self.mip_level, self.columns, self.rows, self.threads = mip_level, columns, rows, threads or os.cpu_count() or 1
         self.source: Model = get_model(svbrdf.model)
         self.target: Model = get_model(self.options.model)
@@ -87,7 +87,7 @@ class LevelSample:
         other.size = level_sizes(self.base_size, mip_level + 1)[mip_level]
         return other
 
-    def seen(self, options: BakeOptions | None = None) -> Seen:
+    def seen(self, options: FitOptions | None = None) -> Seen:
         """What a fit under these options sees of the base; made once."""
         options = options or self.options
         effects = options.colour, options.correlation, options.coupling
@@ -95,7 +95,7 @@ class LevelSample:
             self._seen[effects] = seen_by(self.base, options)
         return self._seen[effects]
 
-    def settings(self, options: BakeOptions | None = None, quality: Quality | None = None) -> tuple[LevelRules, Search]:
+    def settings(self, options: FitOptions | None = None, quality: Quality | None = None) -> tuple[LevelRules, Search]:
         """How this level is sampled and searched; under a tolerance it costs a few hundred fits to know."""
         options = options or self.options
         chosen = quality or quality_of(options)
@@ -106,7 +106,7 @@ class LevelSample:
         return rules, tolerant(search, options, base, rules, self.size, self.mip_level, kernels)
 
     def fit(
-        self, options: BakeOptions | None = None, quality: Quality | None = None, float_width: int = 32,
+        self, options: FitOptions | None = None, quality: Quality | None = None, float_width: int = 32,
         settings: tuple[LevelRules, Search] | None = None,
     ) -> tuple[Lobes, Output]:  # fmt: skip
         """The lobes of these texels, and all that the fit says of them.
@@ -148,7 +148,7 @@ class LevelSample:
         )  # fmt: skip
         return Lobes(found.theta, found.scale)
 
-    def averages(self, options: BakeOptions) -> dict[str, NDArray]:
+    def averages(self, options: FitOptions) -> dict[str, NDArray]:
         """Averages (n, 3), by name, of images that a fit under these options does not see.
 
         They are made once; subsets that are taken afterwards have them too.

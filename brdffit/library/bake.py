@@ -1,6 +1,6 @@
 """One set of a library: read it, then bake it. Two steps, so that the next set is read while this one is fitted.
 
-The files are those of ``brdffit.baking.bake_to_folder``; the manifest also holds the request (see ``state``), and
+The files are those of ``brdffit.pipeline.bake_to_folder``; the manifest also holds the request (see ``state``), and
 ``preview.png`` is a thumbnail.
 """
 
@@ -16,20 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from brdffit import baking
+from brdffit import pipeline
 from brdffit.errors import BrdffitError, InputError
-from brdffit.export.manifest import build_manifest
 from brdffit.files.image_io import file_sha256
-from brdffit.fitting.status import STATUS_NAMES
 from brdffit.library import store
 from brdffit.library.grouping import named_group
 from brdffit.library.state import build_request, code_digest, input_files
 from brdffit.library.task import Outcome, Task
 from brdffit.library.thumbnail import make_thumbnail
-from brdffit.methods import BakeOptions, Method, get_method
+from brdffit.methods import Material, Method, get_method, with_options
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures import reading as sets
-from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.orientation import settle_normal_y
 from brdffit.textures.reading import read_texture_set
 from brdffit.textures.texture_set import Map, TextureSet
@@ -41,40 +38,33 @@ def _method(name: str) -> Method:
     return get_method(name)
 
 
-def _options(task: Task) -> BakeOptions:
-    return _options_of(task.preset, tuple(sorted(task.options.items())))
-
-
-@cache
-def _options_of(preset: str, given: tuple[tuple[str, Any], ...]) -> BakeOptions:
-    return baking.bake_options(preset, dict(given))
+def _options(task: Task) -> Any:
+    return pipeline.bake_options(_method(task.method), task.preset, task.options)
 
 
 @dataclass
-class ReadSet:
+class ReadTask:
     """A task with its texels in memory.
 
     Attributes:
-        texture_set, svbrdf: what was read.
+        read: what was read, with the SHA-256 of each file that could be.
         request: what the result will be of.
-        digests: SHA-256 of each file that could be read.
         seconds: spent on it.
     """
 
-    texture_set: TextureSet
-    svbrdf: Svbrdf
+    read: pipeline.ReadSet
     request: dict[str, Any]
-    digests: dict[Path, str]
     seconds: float
 
 
-def read_set(task: Task) -> ReadSet:
+def read_set(task: Task) -> ReadTask:
     """Hash the inputs of a task, and decode them.
 
     Raises:
         InputError: for a set that cannot be used, or whose files change while they are read.
     """
     start = time.perf_counter()
+    options = _options(task)
     if task.code != code_digest(task.method):
         raise InputError(
             f"'{task.found.source}' was not baked: this worker runs other sources of brdffit than the run that "
@@ -83,14 +73,11 @@ def read_set(task: Task) -> ReadSet:
     files = input_files(task)
     before = _stamps(files)
     digests = {name: file_sha256(path) for name, path in files.items()}
-    texture_set = open_set(task)
-    svbrdf = to_svbrdf(texture_set, min_roughness=_options(task).min_roughness)
+    read = pipeline.read_set(open_set(task), {}, options)
     if _stamps(input_files(task)) != before:
         raise InputError(f"The files of '{task.found.source}' changed while they were read: run again for this set.")
-    by_path = {path: digests[name] for name, path in files.items()}
-    return ReadSet(
-        texture_set, svbrdf, build_request(task, _options(task), digests), by_path, time.perf_counter() - start
-    )
+    read.digests = {path: digests[name] for name, path in files.items()}
+    return ReadTask(read, build_request(task, options, digests), time.perf_counter() - start)
 
 
 def open_set(task: Task) -> TextureSet:
@@ -126,55 +113,35 @@ def open_set(task: Task) -> TextureSet:
     return texture_set
 
 
-def bake_set(task: Task, read: ReadSet, threads: int) -> Outcome:
+def bake_set(task: Task, found: ReadTask, threads: int) -> Outcome:
     """Fit, measure and write a set that was read.
 
     Raises:
         BrdffitError: as ``bake_to_folder``.
     """
-    seconds = {"reading": read.seconds}
-    clock = time.perf_counter()
-
-    def lap(phase: str) -> None:
-        nonlocal clock
-        now = time.perf_counter()
-        seconds[phase], clock = now - clock, now
-
-    svbrdf = read.svbrdf
+    read = found.read
+    phases = pipeline.Phases(reading=found.seconds)
     options = dataclasses.replace(_options(task), threads=threads)
-    with store.writing(task, svbrdf.size) as write:
-        pyramid = _method(task.method).bake(svbrdf, options)
-        lap("fitting")
-        measured = baking.assess(svbrdf, pyramid)
-        lap("measuring")
-        thumbnail = make_thumbnail(svbrdf, pyramid)
-        lap("thumbnail")
-        manifest = build_manifest(
-            pyramid,
-            name=task.found.name,
-            inputs=baking.inputs_of(read.texture_set),
-            conventions=baking.conventions_of(read.texture_set),
-            status_names=STATUS_NAMES,
-            measured=measured,
-            notes=read.texture_set.notes,
-            digests=read.digests,
-        )
-        manifest["request"] = read.request
-        manifest["volatile"]["phases"] = dict(seconds)
-        write(pyramid, manifest, thumbnail)
-    lap("writing")
-    return Outcome(task.key, None, sum(level["texels"] for level in manifest["levels"]), seconds)
+    with store.writing(task, read.material.size) as write:
+        baked = pipeline.run(read, _method(task.method), options, phases)
+        manifest, _ = pipeline.finish(
+            read, baked, phases, write=write, draw=lambda: make_thumbnail(read.material.svbrdf, baked),
+            record={"request": found.request},
+        )  # fmt: skip
+    return Outcome(task.key, None, sum(level["texels"] for level in manifest["levels"]), phases.seconds)
 
 
-def warm_up(methods_and_models: set[tuple[str, str]]) -> None:
-    """Compile, or load, all that these methods and lobe models need, by a bake of a few texels."""
+def warm_up(methods_and_models: set[tuple[str, str | None]]) -> None:
+    """Compile, or load, all that these methods and lobe models (None: the method's own) need, by a small bake."""
     flat = np.zeros((4, 4, 3), np.float32)
     svbrdf = Svbrdf(flat + np.array([0, 0, 1], np.float32), flat - 3.0, flat + 0.5, flat + 0.5, height=flat[..., 0])
-    for method, model in sorted(methods_and_models):
-        options = BakeOptions(model=model, quality="draft", threads=1)
-        pyramid = get_method(method).bake(svbrdf, options)
-        baking.assess(svbrdf, pyramid)
-        make_thumbnail(svbrdf, pyramid)
+    read = pipeline.ReadSet("warm-up", Material(svbrdf))
+    for name, model in sorted(methods_and_models, key=str):
+        method = get_method(name)
+        wanted = {"quality": "draft", "threads": 1} | ({"model": model} if model else {})
+        baked = pipeline.run(read, method, with_options(method.options(), wanted), pipeline.Phases())
+        pipeline.assess(read.material, baked)
+        make_thumbnail(svbrdf, baked)
 
 
 def sentence_of(error: BaseException, task: Task) -> str:

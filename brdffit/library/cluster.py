@@ -41,7 +41,7 @@ def run_on_cluster(scheduler: str, jobs: Sequence[Job]) -> Generator[Outcome, No
             "scheduler such as tcp://host:8786."
         ) from error
     with client:
-        _warm_up(client, {(job.task.method, job.task.options.get("model", "ggx")) for job in jobs})
+        _warm_up(client, {(job.task.method, job.task.options.get("model")) for job in jobs})
         largest_first = sorted(jobs, key=lambda job: (-job.texels, job.task.key))
         futures = {
             client.submit(
@@ -66,7 +66,7 @@ def run_on_cluster(scheduler: str, jobs: Sequence[Job]) -> Generator[Outcome, No
             client.cancel(list(futures))
 
 
-def _warm_up(client: Client, methods_and_models: set[tuple[str, str]]) -> None:
+def _warm_up(client: Client, methods_and_models: set[tuple[str, str | None]]) -> None:
     """Kernels on one worker of each machine, before others there want them: two that compile at once do it twice."""
     hosts: dict[str, str] = {}
     for address, worker in client.scheduler_info(n_workers=-1)["workers"].items():

@@ -66,7 +66,7 @@ def _entry(manifest: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "method": manifest["method"],
         "model": manifest["model"],
-        "quality": manifest["options"]["quality"],
+        "quality": manifest["options"].get("quality"),
         "preset": manifest["preset"]["name"],
         "width": levels[0]["width"],
         "height": levels[0]["height"],

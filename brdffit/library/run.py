@@ -109,7 +109,7 @@ def run_library(
         memory: bytes that all work may take; None takes four fifths of the machine's.
         scheduler: address of a Dask scheduler that does the work instead.
         listener: told of what happens.
-        options: as of ``brdffit.baking.bake_to_folder``; they win over the settings.
+        options: as of ``brdffit.pipeline.bake_to_folder``; they win over the settings.
 
     Returns:
         What was done; sets that failed are in it, and no reason to stop.
@@ -144,7 +144,7 @@ def run_library(
         try:
             if jobs:
                 tell.phase("compiling")
-                warm_up({(job.task.method, job.task.options.get("model", "ggx")) for job in jobs})
+                warm_up({(job.task.method, job.task.options.get("model")) for job in jobs})
                 tell.phase("baking")
                 start = time.perf_counter()
                 bake = _on_cluster(scheduler) if scheduler else Pool(cores, count, most).run

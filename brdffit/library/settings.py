@@ -24,10 +24,10 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from brdffit.baking import bake_options
 from brdffit.errors import InputError
 from brdffit.library.task import Found
-from brdffit.methods import get_method
+from brdffit.methods import DEFAULT, get_method
+from brdffit.pipeline import bake_options
 from brdffit.textures import READING_OPTIONS
 
 FILE_NAME = "library.toml"
@@ -131,7 +131,6 @@ def split_options(said: dict[str, Any]) -> dict[str, Any]:
     said = {name: value for name, value in said.items() if value not in (None, "auto")}
     reading = {name: said.pop(name, None) for name in READING_OPTIONS}
     reading["denoise_normals"] = bool(reading["denoise_normals"])
-    method, preset, bits = said.pop("method", "bfgs"), said.pop("preset", "plain"), int(said.pop("bits", 8))
-    get_method(method)
-    bake_options(preset, said)
+    method, preset, bits = said.pop("method", DEFAULT), said.pop("preset", "plain"), int(said.pop("bits", 8))
+    bake_options(get_method(method), preset, said)
     return {"reading": reading, "method": method, "preset": preset, "bits": bits, "options": said}

@@ -18,14 +18,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from brdffit.baking import bake_options
 from brdffit.errors import InputError
 from brdffit.export.manifest import FORMAT
 from brdffit.files.image_io import IMAGE_SUFFIXES, file_sha256
 from brdffit.library.discovery import material_file, references
 from brdffit.library.task import Task
 from brdffit.machine import versions
-from brdffit.methods import BakeOptions, get_method
+from brdffit.methods import DEFAULT, get_method
+from brdffit.options import BakeOptions
+from brdffit.pipeline import bake_options
 from brdffit.textures.reading import SUFFIXES
 
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -36,7 +37,7 @@ _MATTER = ("library/bake.py", "library/state.py", "library/thumbnail.py")
 
 
 @cache
-def code_digest(method: str = "bfgs") -> str:
+def code_digest(method: str = DEFAULT) -> str:
     """SHA-256 of the sources that a bake by this method runs through: kernels, methods, readers and writers."""
     digest = hashlib.sha256()
     baselines = _PACKAGE.parent / "baselines"
@@ -112,9 +113,8 @@ def reason_to_bake(task: Task, manifest: Mapping[str, Any] | None, size_of: Call
             return "incomplete"
         # Cheap first: what is told without reading an input.
         paths = input_files(task)
-        now = json.loads(
-            json.dumps(build_request(task, bake_options(task.preset, task.options), dict.fromkeys(paths, "")))
-        )
+        options = bake_options(get_method(task.method), task.preset, task.options)
+        now = json.loads(json.dumps(build_request(task, options, dict.fromkeys(paths, ""))))
         apart = {"files": None, "code": None}
         if was | apart != now | apart:
             return "other options"

@@ -23,14 +23,15 @@ from brdffit.export import writing as export
 from brdffit.export.manifest import FILE_NAME
 from brdffit.files import atomic
 from brdffit.library.task import Task
-from brdffit.methods import Pyramid
+from brdffit.methods import Baked
 
 try:
     import fcntl
 except ImportError:  # Windows has none
     fcntl = None  # type: ignore[assignment]
 
-Write = Callable[[Pyramid, dict[str, Any], NDArray], None]
+#: write(baked, manifest, picture): gives the manifest as written.
+Write = Callable[[Baked, dict[str, Any], NDArray | None], dict[str, Any]]
 
 
 class Store(Protocol):
@@ -116,9 +117,9 @@ class _Folder:
         folder = self.root / task.key
         export.check_writable(folder, size)
 
-        def write(pyramid: Pyramid, manifest: dict[str, Any], picture: NDArray) -> None:
-            export.write_pyramid(
-                pyramid, folder, name=task.found.name, preset=task.preset, bits=task.bits, manifest=manifest,
+        def write(baked: Baked, manifest: dict[str, Any], picture: NDArray | None) -> dict[str, Any]:
+            return export.write_baked(
+                baked, folder, name=task.found.name, preset=task.preset, bits=task.bits, manifest=manifest,
                 preview=picture,
             )  # fmt: skip
 
@@ -211,9 +212,9 @@ class _Remote:
         with tempfile.TemporaryDirectory(prefix="brdffit-") as here:
             export.check_writable(Path(here) / "set", size)
 
-            def write(pyramid: Pyramid, manifest: dict[str, Any], picture: NDArray) -> None:
-                written = export.write_pyramid(
-                    pyramid, Path(here) / "set", name=task.found.name, preset=task.preset, bits=task.bits,
+            def write(baked: Baked, manifest: dict[str, Any], picture: NDArray | None) -> dict[str, Any]:
+                written = export.write_baked(
+                    baked, Path(here) / "set", name=task.found.name, preset=task.preset, bits=task.bits,
                     manifest=manifest, preview=picture,
                 )  # fmt: skip
                 target = f"{self.root}/{task.key}"
@@ -227,6 +228,7 @@ class _Remote:
                         self.files.put_file(f"{here}/set/{name}", f"{target}/{name}")
                 except OSError as error:
                     raise OutputError(f"'{self.address}/{task.key}' could not be written: {error}.") from error
+                return written
 
             yield write
 

@@ -17,8 +17,8 @@ from brdffit.planning.description import SceneFile, read_scene
 from brdffit.planning.plan import EffectRow, Plan, SurfacePlan
 
 if TYPE_CHECKING:
-    from brdffit.baking import BakeReport
     from brdffit.comparison.console import Written
+    from brdffit.pipeline import BakeReport
 
 #: Columns where no terminal sets them.
 _PIPED_WIDTH = 160

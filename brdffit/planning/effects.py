@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from brdffit.methods import BakeOptions
+from brdffit.fitting.options import FitOptions
 from brdffit.render.terms import Terms
 
 
@@ -23,7 +23,7 @@ class Effect:
         name: as scene files write it.
         title: for people.
         absent: what is done without it, as plans say it.
-        on, off: fields of ``BakeOptions``, with it and without it.
+        on, off: fields of ``FitOptions``, with it and without it.
         unread: roles of maps that are not read without it.
         terms: fields of the judge's ``Terms`` that are False without it.
         judge: whether it is the judge's alone: it changes no pyramid, but what a comparison simulates.
@@ -109,13 +109,13 @@ class Setup:
         environment: whether the judge lights by the environment.
     """
 
-    options: BakeOptions
+    options: FitOptions
     unread: tuple[str, ...] = ()
     terms: Terms = field(default_factory=Terms)
     environment: bool = True
 
 
-def setup(options: BakeOptions, off: Collection[str] = (), tolerance: float = 0.1) -> Setup:
+def setup(options: FitOptions, off: Collection[str] = (), tolerance: float = 0.1) -> Setup:
     """Everything on but the effects named in ``off``.
 
     Args:

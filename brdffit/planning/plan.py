@@ -54,7 +54,7 @@ class SurfacePlan(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         reach: first and last level that are fitted. seen: why.
-        options: fields of ``BakeOptions`` that differ from the defaults.
+        options: fields of ``FitOptions`` that differ from the defaults.
         unread: roles of maps that are not read.
         terms: terms of the judge that are left out. environment: whether it lights by the environment.
         everything, planned: predicted, with every effect on, and as planned.

@@ -10,7 +10,7 @@ import time
 import numpy as np
 
 from brdffit.fitting.method import NonlinearFit
-from brdffit.methods import BakeOptions
+from brdffit.fitting.options import FitOptions
 from brdffit.planning.trial import UNSEEN, Loss
 from brdffit.render.lights import Lights
 from brdffit.render.pictures import render_appearance
@@ -23,7 +23,7 @@ _CROPS, _SIDE, _PIXELS = 3, 16, 20
 
 
 def try_refinement(
-    base: Svbrdf, options: BakeOptions, reach: tuple[int, int], lights: Lights | None, seed: int
+    base: Svbrdf, options: FitOptions, reach: tuple[int, int], lights: Lights | None, seed: int
 ) -> tuple[Loss, float]:
     """What is lost without it, between texels and halfway between the two finest levels; seconds that it costs.
 
@@ -48,7 +48,7 @@ def try_refinement(
                 options, refine=refine, tolerance=None, levels=level + 2, reach=(level, level + 1), keep_level_0=False
             )
             start = time.process_time()
-            pyramid = NonlinearFit().bake(crop, asked)
+            pyramid = NonlinearFit().bake_lobes(crop, asked)
             took.append((time.process_time() - start) / (options.threads or os.cpu_count() or 1))
             picture = render_appearance(pyramid, scene, lights).astype(np.float64)
             error.append(float(np.sum((picture - truth[0]) * (picture - truth[1]))))

@@ -10,9 +10,9 @@ from typing import Any
 
 import msgspec
 
-from brdffit.baking import BakeReport, ProgressListener, bake_to_folder
 from brdffit.comparison.ask import ENVIRONMENT, SMALL_LIGHTS, Ask
-from brdffit.methods import BakeOptions, Pyramid
+from brdffit.methods import Baked
+from brdffit.pipeline import BakeReport, ProgressListener, bake_to_folder
 from brdffit.planning.description import PROCEDURAL, SceneFile
 from brdffit.planning.lighting import lights_of
 from brdffit.planning.plan import Plan, SurfacePlan
@@ -93,15 +93,15 @@ def comparisons(
                 lit=tuple(lit + [ENVIRONMENT] * planned.environment),
                 terms=Terms(**dict.fromkeys(planned.terms, False)),
                 unread=planned.unread,
-                options=BakeOptions(**{**planned.options, "threads": threads}),
+                options={**planned.options, "threads": threads},
             )
         )
     return sources, asks
 
 
-def _notes(work: SurfaceWork, planned: SurfacePlan, pyramid: Pyramid, seconds: float) -> dict[str, Any]:
+def _notes(work: SurfaceWork, planned: SurfacePlan, baked: Baked, seconds: float) -> dict[str, Any]:
     """What the manifest says of the plan."""
-    outcome, lost = work.outcome(planned, pyramid, seconds)
+    outcome, lost = work.outcome(planned, baked, seconds)
     record = msgspec.to_builtins(planned)
     timed = {name: record[name].pop("seconds") for name in ("everything", "planned")}
     costs = {row["name"]: row.pop("costs_seconds") for row in record["effects"]}

@@ -6,12 +6,14 @@ import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
 from brdffit.fitting.method import NonlinearFit
-from brdffit.methods import BakeOptions, Pyramid
+from brdffit.fitting.options import FitOptions
+from brdffit.methods import Baked, Material
+from brdffit.options import changed_options
 from brdffit.planning.description import SceneFile, Surface
 from brdffit.planning.effects import BY_NAME, Setup, setup
 from brdffit.planning.facts import Fact, settled
@@ -73,7 +75,7 @@ class SurfaceWork:
         base = to_svbrdf(self.texture_set)
         seen = reached_levels(self.scene, self.surface, base.size)
         facts = settled(self.scene, base, (seen.first, seen.last))
-        NonlinearFit().prepare(self.scene.model, base.model)
+        NonlinearFit().prepare(Material(base), FitOptions(model=self.scene.model))
         sample = self._sample(base, seen)
         everything = self._everything(facts)
         on = sample.versions(self._setup(seen, everything))
@@ -98,7 +100,7 @@ class SurfaceWork:
         return SurfacePlan(
             name=self.surface.name, set=Path(self.surface.set).name, size=base.size, reach=(seen.first, seen.last),
             seen=seen.sentence, effects=tuple(self._row(name, name not in off, facts, tried) for name in BY_NAME),
-            options=_changed(final.options), unread=tuple(r for r in final.unread if r in self.texture_set.maps),
+            options=changed_options(final.options), unread=tuple(r for r in final.unread if r in self.texture_set.maps),
             terms=tuple(name for name, lit in dataclasses.asdict(final.terms).items() if not lit),
             environment=final.environment,
             everything=Outcome(seconds=self._seconds_of_all(base, everything, tried), snr_db=snr),
@@ -106,7 +108,7 @@ class SurfaceWork:
             lost_db=lost.db, lost_at_most_db=lost.at_most, notes=tuple(notes),
         )  # fmt: skip
 
-    def outcome(self, planned: SurfacePlan, pyramid: Pyramid, seconds: float) -> tuple[Outcome, Loss]:
+    def outcome(self, planned: SurfacePlan, baked: Baked, seconds: float) -> tuple[Outcome, Loss]:
         """What became of a plan, on texels of this seed: seconds and SNR, and what is lost against everything on."""
         base = to_svbrdf(self.texture_set)
         seen = reached_levels(self.scene, self.surface, base.size)
@@ -114,7 +116,8 @@ class SurfaceWork:
         everything = self._everything(settled(self.scene, base, planned.reach))
         on = sample.versions(self._setup(seen, everything))
         sample.aim(on)
-        errors = sample.errors([on, sample.picked([level.svbrdf for level in pyramid.levels])])
+        assert baked.lobes is not None
+        errors = sample.errors([on, sample.picked([level.svbrdf for level in baked.lobes.levels])])
         return Outcome(seconds=seconds, snr_db=snr_db(errors, 1)), loss(errors, 1)
 
     def _try(
@@ -183,7 +186,7 @@ class SurfaceWork:
 
     def _setup(self, seen: Reach | None, off: Iterable[str]) -> Setup:
         scene = self.scene
-        options = BakeOptions(
+        options = FitOptions(
             model=scene.model, quality=scene.quality, pixel_filter=scene.pixel_filter, threads=self.threads,
             reach=None if seen is None else (seen.first, seen.last),
         )  # fmt: skip
@@ -210,9 +213,3 @@ class SurfaceWork:
 
 def _refining(tried: _Tried, off: set[str]) -> float:
     return 0.0 if "refinement" in off else tried.costs.get("refinement", 0.0)
-
-
-def _changed(options: BakeOptions) -> dict[str, Any]:
-    """Fields that differ from the defaults; threads are the machine's matter."""
-    usual = dataclasses.asdict(BakeOptions())
-    return {n: value for n, value in dataclasses.asdict(options).items() if value != usual[n] and n != "threads"}

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.fitting.averaging import averaged_levels
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
 from brdffit.halfangle.measure import random_texels
-from brdffit.methods import BakeOptions
 from brdffit.models import get_model
 from brdffit.planning.effects import Setup
 from brdffit.render.pairs import pair_errors
@@ -73,7 +73,7 @@ class Sample:
     """
 
     def __init__(
-        self, base: Svbrdf, options: BakeOptions, reach: tuple[int, int], draw: Draw, seed: int = 0,
+        self, base: Svbrdf, options: FitOptions, reach: tuple[int, int], draw: Draw, seed: int = 0,
         texels: int = TEXELS, threads: int | None = None,
     ) -> None:  # fmt: skip
         self.base, self.options, self.reach, self.draw, self.seed = base, options, reach, draw, seed
@@ -236,7 +236,7 @@ def _picked(level: Svbrdf, columns: NDArray, rows: NDArray) -> Svbrdf:
 class _Run:
     """Texels of a level, fitted again and again to see what one costs."""
 
-    def __init__(self, sample: LevelSample, options: BakeOptions, settings: Any) -> None:
+    def __init__(self, sample: LevelSample, options: FitOptions, settings: Any) -> None:
         def fit(count: int) -> float:
             few = sample.subset(count)
             return timed(lambda: few.fit(options, settings=settings), 1)

@@ -114,7 +114,7 @@ def _best_of_level(result: SetResult, level: int) -> dict[str, set[str]]:
     """Methods that are first at a level, by the lobe's figure and by that of the pairs."""
     found = {}
     for name in ("half_angle_snr_db", "pair_snr_db"):
-        values = {each.method: getattr(each.levels[level], name) for each in result.methods}
+        values = {each.method: getattr(each.levels[level], name) for each in result.methods if each.maps}
         known = {method: value for method, value in values.items() if value is not None}
         found[name] = {method for method, value in known.items() if value == max(known.values())}
     return found
@@ -145,7 +145,11 @@ def _data(
             }
             for view in result.lobes
         ]  # fmt: skip
-        maps = {each.method: plots.data_address(plots.map_picture(pictures[each.maps])) for each in result.methods}
+        maps = {
+            each.method: plots.data_address(plots.map_picture(pictures[each.maps]))
+            for each in result.methods
+            if each.maps
+        }
         overview = plots.data_address(pictures[result.overview])
         sets.append({"name": result.name, "views": views, "lobes": lobes, "maps": maps, "overview": overview})
     return {"fit": fit, "order": method_names(comparison), "colours": dict(colours), "sets": sets}

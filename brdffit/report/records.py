@@ -88,7 +88,10 @@ class LevelFigures(Record, kw_only=True):
 
 
 class MethodResult(Record, kw_only=True):
-    """One method on one set. ``maps``: a strip of its levels, roughness above anisotropy, as grey values."""
+    """One method on one set.
+
+    ``maps``: a strip of its levels, roughness above anisotropy, as grey values; "" where it bakes no lobes.
+    """
 
     method: str
     seconds: float
@@ -216,7 +219,7 @@ def picture_names(comparison: Comparison) -> list[str]:
     names: dict[str, None] = {}
     for each in comparison.sets:
         names[each.overview] = None
-        names.update((result.maps, None) for result in each.methods)
+        names.update((result.maps, None) for result in each.methods if result.maps)
         for view in each.views:
             names[view.reference] = None
             names.update((shot.picture, None) for shot in view.shots)

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import BrdffitError
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.measure import lobe_parameters, random_texels, snr
-from brdffit.methods import BakeOptions, get_method
+from brdffit.methods import Material, get_method
 from brdffit.models import get_model
 from brdffit.render.pairs import pair_errors
 from brdffit.render.terms import Terms
@@ -110,12 +111,13 @@ class _Tried:
 
 def _bake(way: Way, svbrdf: Svbrdf, texels: Texels, size: Size) -> _Tried:
     """A closed form is baked whole: it costs by the image, not by the texel."""
-    method, options = get_method(way.method), BakeOptions(levels=len(texels))
+    method, options = get_method(way.method), FitOptions(levels=len(texels))
     took = []
     for _ in range(size.repeats + 1):
         start = time.perf_counter()
-        pyramid = method.bake(svbrdf, options)
+        pyramid = method.bake(Material(svbrdf), options).lobes
         took.append(time.perf_counter() - start)
+    assert pyramid is not None  # `ways` names methods with lobes alone
     versions = [(pyramid[k].svbrdf, at) for k, at in enumerate(texels)]
     lobes = [Lobes(lobe_parameters(v, *at), v.specular[at[1], at[0]].astype(np.float64)) for v, at in versions]
     return _Tried(way, min(took) / math.prod(svbrdf.size), lobes)
@@ -147,7 +149,7 @@ def _measure(tried: Sequence[_Tried], svbrdf: Svbrdf, base: Base, texels: Texels
     for model in dict.fromkeys(each.way.options.model for each in tried):
         own = [each for each in tried if each.way.options.model == model]
         for mip_level, at in enumerate(texels):
-            sample = LevelSample(svbrdf, mip_level, *at, BakeOptions(model=model), base=base)
+            sample = LevelSample(svbrdf, mip_level, *at, FitOptions(model=model), base=base)
             lobes = [Lobes(*(array[: len(at[0])] for array in each.lobes[mip_level])) for each in own]
             found = sample.measure(lobes, nodes=size.nodes, samples=size.samples)
             for k, each in enumerate(own):

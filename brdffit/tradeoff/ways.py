@@ -6,8 +6,9 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
+from brdffit.fitting.options import QUALITIES, FitOptions
 from brdffit.fitting.presets import Quality, get_quality
-from brdffit.methods import QUALITIES, BakeOptions, method_names
+from brdffit.methods import lobe_method_names
 from brdffit.models import model_names
 
 TOLERANCES = (0.5, 0.2, 0.1, 0.03)
@@ -34,7 +35,7 @@ class Way:
     group: str
     name: str
     method: str = FIT
-    options: BakeOptions = BakeOptions()
+    options: FitOptions = FitOptions()
     quality: Quality | None = None
     float_width: int = 32
 
@@ -42,23 +43,23 @@ class Way:
 def ways() -> list[Way]:
     """All that is tried, the closed forms first, the oracle last."""
     standard = get_quality("standard")
-    found = [Way("method", name, method=name) for name in method_names() if name != FIT]
-    found += [Way("preset", name, options=BakeOptions(quality=name)) for name in QUALITIES]
-    found += [Way("tolerance", f"{dB:g} dB", options=BakeOptions(tolerance=dB)) for dB in TOLERANCES]
+    found = [Way("method", name, method=name) for name in lobe_method_names() if name != FIT]
+    found += [Way("preset", name, options=FitOptions(quality=name)) for name in QUALITIES]
+    found += [Way("tolerance", f"{dB:g} dB", options=FitOptions(tolerance=dB)) for dB in TOLERANCES]
     found += [Way("nodes", f"{n} nodes", quality=fixed_nodes(standard, n)) for n in NODES]
     found += [
         Way(SETTING, f"{name}, {n} nodes", quality=dataclasses.replace(get_quality(name), nodes=(n, 2 * n, 4 * n)))
         for name in QUALITIES
         for n in SETTING_NODES
     ]
-    found += [Way("model", name, options=BakeOptions(model=name)) for name in model_names()]
+    found += [Way("model", name, options=FitOptions(model=name)) for name in model_names()]
     found += [
-        Way("lobe", "isotropic", options=BakeOptions(lobe="isotropic")),
-        Way("lobe", "mean normal", options=BakeOptions(normal="mean")),
-        Way("lobe", "isotropic, mean normal", options=BakeOptions(lobe="isotropic", normal="mean")),
-        Way("lobe", "held colour", options=BakeOptions(specular="held")),
-        Way("loss", "relative", options=BakeOptions(loss="relative")),
-        Way("loss", "l1", options=BakeOptions(loss="l1")),
+        Way("lobe", "isotropic", options=FitOptions(lobe="isotropic")),
+        Way("lobe", "mean normal", options=FitOptions(normal="mean")),
+        Way("lobe", "isotropic, mean normal", options=FitOptions(lobe="isotropic", normal="mean")),
+        Way("lobe", "held colour", options=FitOptions(specular="held")),
+        Way("loss", "relative", options=FitOptions(loss="relative")),
+        Way("loss", "l1", options=FitOptions(loss="l1")),
         Way("float", "64-bit sums", float_width=64),
         Way("oracle", "oracle", method=ORACLE),
     ]

@@ -13,8 +13,8 @@ import numpy as np
 from lobe_oracle import MODELS, log_tensor_of
 from test_fitting import surface
 
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
-from brdffit.methods import BakeOptions
 from brdffit.models import get_model
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -66,10 +66,10 @@ class Case:
 
     def sample(self, model: str, svbrdf: Svbrdf | None = None) -> LevelSample:
         """Every texel of the case's level, of its own base or of another made from it."""
-        return sample_level(svbrdf or self.make(model), self.level, BakeOptions(model=model, **self.options))
+        return sample_level(svbrdf or self.make(model), self.level, FitOptions(model=model, **self.options))
 
 
-def sample_level(svbrdf: Svbrdf, level: int, options: BakeOptions) -> LevelSample:
+def sample_level(svbrdf: Svbrdf, level: int, options: FitOptions) -> LevelSample:
     """Every texel of a level."""
     height, width = level_sizes(svbrdf.size, level + 1)[level]
     rows, columns = np.divmod(np.arange(height * width), width)

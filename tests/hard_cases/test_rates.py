@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.status import FALLBACK, ITERATION_LIMIT, PRECISION_LIMIT, REFINED, STATUSES
 from brdffit.halfangle.measure import random_texels
-from brdffit.methods import BakeOptions
 from brdffit.svbrdf import level_sizes
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.reading import read_texture_set
@@ -45,7 +45,7 @@ def test_rare_branches_are_rare(name, quality, capsys):
     base = crop(name)
     counts = np.zeros(len(STATUSES), int)
     for level, size in enumerate(level_sizes(base.size, 6)):
-        sample = LevelSample(base, level, *random_texels(size, TEXELS, level), BakeOptions(quality=quality), threads=2)
+        sample = LevelSample(base, level, *random_texels(size, TEXELS, level), FitOptions(quality=quality), threads=2)
         _, output = sample.fit()
         counts += np.bincount(output.status, minlength=len(STATUSES))
     named = {name: int(count) for (name, _), count in zip(STATUSES, counts, strict=True) if count}

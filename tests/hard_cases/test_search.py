@@ -15,8 +15,8 @@ from lobe_oracle import MODELS
 from test_fitting import surface
 
 from brdffit.doctor import MISTAKEN_BY, MISTAKEN_TIMES
+from brdffit.fitting.options import FitOptions
 from brdffit.fitting.status import FALLBACK, ITERATION_LIMIT, NO_SPECULAR, PRECISION_LIMIT, REFINED, STATUSES
-from brdffit.methods import BakeOptions
 from brdffit.models import get_model
 from brdffit.roughness import eigenvalues_of_log
 from brdffit.svbrdf import Svbrdf
@@ -33,7 +33,7 @@ DENSE = {"nodes": 2048, "samples": (16, 32)}
 
 
 @st.composite
-def bases(draw, wild: bool) -> tuple[Svbrdf, BakeOptions]:
+def bases(draw, wild: bool) -> tuple[Svbrdf, FitOptions]:
     """A base of 16 texels with random normals, roughness, colours; and options of a bake."""
     model = draw(st.sampled_from(MODELS))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -57,7 +57,7 @@ def bases(draw, wild: bool) -> tuple[Svbrdf, BakeOptions]:
     if get_model(model).shape_bounds and draw(st.booleans()):
         low, _, high = get_model(model).shape_bounds
         base = base.replace(shape=rng.uniform(low, high, size).astype(np.float32))
-    options = BakeOptions(
+    options = FitOptions(
         model=model,
         pixel_filter=draw(st.sampled_from(["box", "box", "gaussian", "mitchell"])),
         specular=draw(st.sampled_from(["free", "free", "held"])),
@@ -81,7 +81,7 @@ class Tally:
         )
 
 
-def check(base: Svbrdf, options: BakeOptions, tally: Tally) -> None:
+def check(base: Svbrdf, options: FitOptions, tally: Tally) -> None:
     """Finite, within bounds, and no worse than the start but for rare needles; noted in the tally."""
     sample = sample_level(base, 1, options)
     lobes, output = sample.fit()

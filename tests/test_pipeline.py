@@ -13,11 +13,11 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from brdffit.baking import bake, bake_to_folder
 from brdffit.errors import UnknownNameError
 from brdffit.files.image_io import write_png
-from brdffit.methods import get_method, method_names
+from brdffit.methods import get_method, lobe_method_names
 from brdffit.models import model_names
+from brdffit.pipeline import bake, bake_to_folder
 from brdffit.roughness import eigenvalues_of_log, tensor_from_log
 from brdffit.svbrdf import level_sizes
 from brdffit.textures.procedural import make_set
@@ -49,13 +49,13 @@ def stable(value):
     return [stable(each) for each in value] if isinstance(value, list) else value
 
 
-@pytest.mark.parametrize("method", method_names())
+@pytest.mark.parametrize("method", lobe_method_names())
 def test_every_method_writes_its_pyramid(method, glossy_tiles, tmp_path):
     report = bake_to_folder(glossy_tiles, tmp_path, method=method, preview=False)
     assert report.folder == tmp_path / "glossy-tiles"
     manifest = json.loads((report.folder / "manifest.json").read_text())
-    assert len(manifest["levels"]) == len(report.pyramid) == len(level_sizes((SIZE, SIZE)))
-    for level, measured in zip(report.pyramid.levels, report.measured, strict=True):
+    assert len(manifest["levels"]) == len(report.baked.sizes) == len(level_sizes((SIZE, SIZE)))
+    for level, measured in zip(report.baked.lobes.levels, report.measured, strict=True):
         assert level.svbrdf.is_finite() and np.isfinite(measured["snr_db"])
     for name in IMAGES:
         assert (report.folder / f"{name}.exr").is_file()
@@ -75,7 +75,7 @@ def test_every_model_gives_the_same_bytes_for_any_threads(model, glossy_tiles, t
 
 def test_exr_levels_are_the_pyramid(glossy_tiles, tmp_path):
     report = bake_to_folder(glossy_tiles, tmp_path, preview=False)
-    for mip_level, level in enumerate(report.pyramid.levels):
+    for mip_level, level in enumerate(report.baked.lobes.levels):
         found = level.svbrdf
         expected = {
             "normal": found.normal,
@@ -102,9 +102,9 @@ def test_unknown_names(glossy_tiles):
 
 
 def test_svbrdf_in_pyramid_out(glossy_tiles):
-    pyramid = bake(glossy_tiles, levels=2, quality="draft")
+    pyramid = bake(glossy_tiles, levels=2, quality="draft").lobes
     again = bake(pyramid[0].svbrdf, levels=1, method="naive")
-    assert len(pyramid) == 2 and again[0].svbrdf.size == (SIZE, SIZE)
+    assert len(pyramid) == 2 and again.sizes == [(SIZE, SIZE)]
     assert get_method("naive").name == again.method
 
 
@@ -119,7 +119,7 @@ def test_flat_dithered_map_is_flat_and_glossy_where_that_is_asked_for(tmp_path):
     write_png(folder / "Flat_Color.png", np.full((SIZE, SIZE, 3), 200, np.uint8))
     write_png(folder / "Flat_Metallic.png", np.full((SIZE, SIZE), 255, np.uint8))
     for method in ("bfgs", "lean", "vmf"):
-        for level in bake(folder, method=method, denoise_normals=True).levels:
+        for level in bake(folder, method=method, denoise_normals=True).lobes.levels:
             major, minor = eigenvalues_of_log(level.svbrdf.log_roughness)
             # Perceptual roughness within 1% of the authored 0.2, axes within 1% of each other.
             np.testing.assert_allclose(np.sqrt(np.sqrt(major)), 0.2, rtol=0.01)
@@ -137,7 +137,7 @@ def test_interrupt_leaves_the_old_output(tmp_path):
     script = (
         # Background jobs of a shell ignore SIGINT, and children inherit that.
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "from brdffit.baking import bake_to_folder\n"
+        "from brdffit.pipeline import bake_to_folder\n"
         "class Tell:\n"
         "    def phase(self, name): print(name, flush=True)\n"
         "    def __call__(self, *level): pass\n"
@@ -163,7 +163,7 @@ def test_interrupt_leaves_the_old_output(tmp_path):
 _HASHED = """
 import hashlib, sys
 import brdffit
-pyramid = brdffit.bake(sys.argv[1], levels=2)
+pyramid = brdffit.bake(sys.argv[1], levels=2).lobes
 arrays = [array for level in pyramid.levels for array in level.svbrdf.arrays().values()]
 print(hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest())
 """

@@ -1,0 +1,33 @@
+"""Options of the nonlinear fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from brdffit.options import LobeOptions, option
+
+QUALITIES = ("draft", "standard", "fine")
+LOSSES = ("l2", "relative", "l1")
+COLOURS = ("channels", "shared")
+
+
+@dataclass(frozen=True)
+class FitOptions(LobeOptions):
+    """Options of the nonlinear fit; the last five are those that a plan sets (``brdffit plan``)."""
+
+    group: ClassVar[str] = "fit"
+
+    quality: str = option("standard", "sampling, quadrature and end of the search", names=QUALITIES)
+    tolerance: float | None = option(
+        None, "instead of a quality: dB that a level's SNR may stay below the best lobe's", above=0.0
+    )
+    loss: str = option("l2", "l2 follows peaks, l1 tails too, relative weighs each half angle alike", names=LOSSES)
+    refine: bool = option(False, "fit also what a renderer interpolates between texels and levels")
+    specular: str = option("free", "fit the scale of the lobe, or hold the filtered colour", names=("free", "held"))
+    normal: str = option("free", "fit the normal, or hold the mean", names=("free", "mean"))
+    reach: tuple[int, int] | None = option(None, "first and last level that pixels read; the others are averaged")
+    colour: str = option("channels", "fit red, green and blue together, or their luminance", names=COLOURS)
+    correlation: bool = option(True, "colours weigh the lobes of a footprint; without, all lobes count alike")
+    coupling: bool = option(True, "average diffuse colour and normal together, so that bright sides of bumps stay")
+    horizon: bool = option(True, "lobes end at their own horizon, n.h = 0, in the search")

@@ -1,0 +1,359 @@
+"""Read, bake, assess, write: the one road from a texture set to the files of a baked material."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from brdffit.export import writing as export
+from brdffit.export.manifest import build_manifest
+from brdffit.export.presets import get_preset
+from brdffit.fitting.batch import model_kernels
+from brdffit.fitting.status import NOT_REACHED, STATUS_NAMES
+from brdffit.halfangle.apparent_lobe import base_of
+from brdffit.halfangle.density import DENSITY_EXPONENTS
+from brdffit.halfangle.measure import measure, random_texels, snr
+from brdffit.methods import DEFAULT, Baked, Material, Method, Pyramid, get_method, with_options
+from brdffit.models import get_model
+from brdffit.options import BakeOptions, make_options
+from brdffit.render.preview import make_preview
+from brdffit.svbrdf import Svbrdf
+from brdffit.textures import READING_OPTIONS
+from brdffit.textures.conversion import to_svbrdf, unread_roles
+from brdffit.textures.reading import read_texture_set
+from brdffit.textures.texture_set import TextureSet
+
+#: Random texels of a level, nodes and samples an axis of what the manifest reports.
+_REPORT_TEXELS, _REPORT_NODES, _REPORT_SAMPLES = 64, 1024, (16, 96)
+
+Source = str | os.PathLike[str] | TextureSet | Svbrdf | Material
+#: annotate(baked, seconds of the fit): what more a manifest says, by its top-level parts.
+Annotate = Callable[[Baked, float], Mapping[str, Mapping[str, Any]]]
+
+
+class ProgressListener(Protocol):
+    """Who wants to know how far a bake is."""
+
+    def phase(self, name: str) -> None:
+        """A phase begins: reading, compiling, fitting, measuring, preview, writing."""
+
+    def __call__(self, level: int, done: int, total: int) -> None:
+        """So many texels of a level are done."""
+
+
+@dataclass
+class ReadSet:
+    """A material, and where it comes from.
+
+    Attributes:
+        name: of the set.
+        material: what a method is given.
+        texture_set: whose maps it was made of; None for arrays.
+        without: roles of maps that were not read.
+        digests: SHA-256 of files, where they are known already.
+    """
+
+    name: str
+    material: Material
+    texture_set: TextureSet | None = None
+    without: Collection[str] = ()
+    digests: Mapping[Path, str] = field(default_factory=dict)
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on what was assumed or mended."""
+        return list(self.texture_set.notes) if self.texture_set else []
+
+    def inputs(self) -> Iterator[tuple[str, Path]]:
+        """(role, path) of every file that was read."""
+        if self.texture_set is not None:
+            unread = unread_roles(self.texture_set, self.without)
+            for role, named in self.texture_set.maps.items():
+                if role not in unread:
+                    yield role, named.path
+            if self.texture_set.entry is not None:
+                yield "material", self.texture_set.entry
+
+    def conventions(self) -> dict[str, Any]:
+        """How the maps were read."""
+        names = ("normal_y", "normal_y_source", "wrap", "height_scale", "denoise_normals")
+        return {name: getattr(self.texture_set, name) for name in names} if self.texture_set else {}
+
+
+@dataclass
+class BakeReport:
+    """What a bake did.
+
+    Attributes:
+        folder: where the files are (OUT/<set>).
+        baked: what the method returned.
+        measured: per level, ``snr_db`` and ``energy_kept`` against the dense rule on random texels, see ``assess``.
+        notes: sentences for the user.
+        seconds: wall-clock seconds of each phase.
+        manifest: as written.
+    """
+
+    folder: Path
+    baked: Baked
+    measured: list[dict[str, Any]]
+    notes: list[str]
+    seconds: dict[str, float]
+    manifest: dict[str, Any] = field(default_factory=dict)
+
+
+def bake(
+    source: Source,
+    *,
+    method: str = DEFAULT,
+    preset: str | None = None,
+    without: Collection[str] = (),
+    progress: ProgressListener | None = None,
+    **options: Any,
+) -> Baked:
+    """Bake a material in memory; no file is written.
+
+    Args:
+        source: a folder of textures, a .gltf, .glb or .mtlx file, a TextureSet, an Svbrdf or a Material.
+        method: see ``brdffit methods``.
+        preset: an engine's preset; says whether the specular scale and the anisotropy can be stored.
+        without: roles of a set that are not read, see ``to_svbrdf``; without "normal" the normal is held.
+        progress: told of phases and texels.
+        options: of the method, see ``brdffit methods NAME``, and how a folder is read: those of
+            ``textures.READING_OPTIONS``.
+
+    Raises:
+        InputError: for a source that cannot be used.
+        UnknownNameError: for an unknown name, or an option that the method does not have.
+    """
+    reading, given = split_reading(options)
+    chosen = get_method(method)
+    asked = _without_normals(bake_options(chosen, preset, given), without)
+    phases = Phases(progress)
+    with phases("reading"):
+        read = read_set(source, reading, asked, without)
+    return run(read, chosen, asked, phases)
+
+
+def bake_to_folder(
+    source: Source,
+    output: str | os.PathLike[str],
+    *,
+    method: str = DEFAULT,
+    preset: str = "plain",
+    bits: int = 8,
+    preview: bool = True,
+    without: Collection[str] = (),
+    progress: ProgressListener | None = None,
+    name: str | None = None,
+    annotate: Annotate | None = None,
+    **options: Any,
+) -> BakeReport:
+    """Bake a set and write OUT/<set>: EXR pyramid, engine pictures, manifest, preview; all of them or none.
+
+    Arguments as in ``bake``; ``bits`` (8 or 16) of the pictures, ``name`` of the set if not that of its folder,
+    ``annotate`` what more the manifest says.
+
+    Raises:
+        InputError, UnknownNameError: as ``bake``.
+        OutputError: when the folder cannot be written; found out before the work where possible.
+    """
+    reading, given = split_reading(options)
+    chosen = get_method(method)
+    asked = _without_normals(bake_options(chosen, preset, given), without)
+    phases = Phases(progress)
+    with phases("reading"):
+        texture_set = open_set(source, reading, without)
+        name = name or (texture_set.name if texture_set else "svbrdf")
+        folder = Path(output) / name
+        export.check_writable(folder)
+        read = dataclasses.replace(read_set(texture_set or source, {}, asked, without), name=name)
+        export.check_writable(folder, read.material.size)
+    baked = run(read, chosen, asked, phases)
+    draw = (lambda: draw_preview(read, baked)) if preview else None
+
+    def write(baked: Baked, manifest: dict[str, Any], picture: NDArray | None) -> dict[str, Any]:
+        return export.write_baked(
+            baked, folder, name=read.name, preset=preset, bits=bits, manifest=manifest, preview=picture
+        )
+
+    manifest, measured = finish(read, baked, phases, write=write, draw=draw, annotate=annotate)
+    return BakeReport(folder, baked, measured, [*baked.notes, *read.notes], phases.seconds, manifest)
+
+
+def split_reading(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """How a folder is read, and the options of the method."""
+    reading = {name: value for name, value in options.items() if name in READING_OPTIONS}
+    return reading, {name: value for name, value in options.items() if name not in reading}
+
+
+def bake_options(method: Method, preset: str | None, given: Mapping[str, Any]) -> Any:
+    """The options of a method as given; what a preset's pictures cannot store is fitted as they can.
+
+    Raises:
+        OptionError: for an option that the method does not have, or a value that it cannot have.
+        UnknownNameError: for an unknown preset.
+    """
+    asked = make_options(method.options, given, f"'{method.name}'")
+    if preset is None:
+        return asked
+    chosen = get_preset(preset)
+    said = {name.rpartition(".")[2] for name in given}
+    usual = {"specular": chosen.specular, "lobe": chosen.lobe}
+    return with_options(asked, {name: value for name, value in usual.items() if name not in said})
+
+
+def open_set(source: Source, reading: Mapping[str, Any], without: Collection[str] = ()) -> TextureSet | None:
+    """The set behind a source, its pixels unread; None for arrays.
+
+    Raises:
+        InputError: for a source that cannot be used.
+    """
+    if isinstance(source, (Svbrdf, Material)):
+        return None
+    return source if isinstance(source, TextureSet) else read_texture_set(source, without=without, **reading)
+
+
+def read_set(
+    source: Source, reading: Mapping[str, Any], options: BakeOptions, without: Collection[str] = ()
+) -> ReadSet:
+    """Read a source into a material.
+
+    Raises:
+        InputError: for a source that cannot be used.
+    """
+    texture_set = open_set(source, reading, without)
+    if texture_set is not None:
+        svbrdf = to_svbrdf(texture_set, min_roughness=options.min_roughness, without=without)
+        return ReadSet(texture_set.name, Material(svbrdf), texture_set, without)
+    assert isinstance(source, (Svbrdf, Material))
+    return ReadSet("svbrdf", source if isinstance(source, Material) else Material(source))
+
+
+def run(read: ReadSet, method: Method, options: BakeOptions, phases: Phases) -> Baked:
+    """Prepare apart, then bake."""
+    with phases("compiling"):
+        method.prepare(read.material, options)
+    with phases("fitting"):
+        return method.bake(read.material, options, phases.progress)
+
+
+def assess(material: Material, baked: Baked, texels: int = _REPORT_TEXELS) -> list[dict[str, Any]]:
+    """SNR in dB and energy kept of each level, measured on random texels against a dense rule.
+
+    Nothing of levels that no pixel reads, and nothing at all of a result without lobes.
+    """
+    if baked.lobes is None:
+        return [{} for _ in baked.sizes]
+    svbrdf, pyramid = material.svbrdf, baked.lobes
+    source, target = get_model(svbrdf.model), get_model(pyramid.model)
+    kernels = model_kernels(source.name, target.name)
+    base = base_of(svbrdf, source.default_shape)
+    figures: list[dict[str, Any]] = []
+    for mip_level, level in enumerate(pyramid.levels):
+        if level.status is not None and (level.status == NOT_REACHED).all():
+            figures.append({})
+            continue
+        columns, rows = random_texels(level.svbrdf.size, texels, seed=mip_level)
+        found = measure(
+            base, svbrdf.size, [level], columns, rows, pixel_filter=pyramid.options.pixel_filter,
+            exponent=DENSITY_EXPONENTS[pyramid.options.density], kernels=kernels, default_shape=target.default_shape,
+            nodes=_REPORT_NODES, samples=_REPORT_SAMPLES,
+        )  # fmt: skip
+        # Rounded well above the noise of the sums, so that manifests agree to the byte.
+        figures.append(
+            {
+                "snr_db": round(min(snr(found.error), 99.0), 2),
+                "energy_kept": round(float(found.energy.mean()), 4),
+                "measured_texels": len(columns),
+            }
+        )
+    return figures
+
+
+def draw_preview(read: ReadSet, baked: Baked) -> NDArray:
+    """The picture of a result beside averaged maps and the reference."""
+    averaged = baked.lobes if baked.method == "naive" else None
+    averaged = averaged or averaged_levels(read.material, baked.options)
+    return make_preview(
+        read.material.svbrdf, averaged, baked.appearance, title=read.name, name=baked.method,
+        threads=baked.options.threads,
+    )  # fmt: skip
+
+
+def averaged_levels(material: Material, options: BakeOptions) -> Pyramid:
+    """Averaged channels under the same options, as far as averaging knows them."""
+    naive = get_method("naive")
+    averaged = naive.bake(material, with_options(naive.options(), dataclasses.asdict(options))).lobes
+    assert averaged is not None
+    return averaged
+
+
+def finish(
+    read: ReadSet,
+    baked: Baked,
+    phases: Phases,
+    *,
+    write: Callable[[Baked, dict[str, Any], NDArray | None], dict[str, Any]],
+    draw: Callable[[], NDArray] | None = None,
+    annotate: Annotate | None = None,
+    record: Mapping[str, Any] | None = None,
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Measure, draw and write a result.
+
+    Args:
+        read: what was baked. baked: the result. phases: timed.
+        write: writes result, manifest and picture; returns the manifest as written.
+        draw: makes the picture. annotate, record: what more the manifest says.
+
+    Returns:
+        The manifest as written, and what was measured of each level.
+    """
+    with phases("measuring"):
+        measured = assess(read.material, baked)
+        noted = annotate(baked, phases.seconds["fitting"]) if annotate is not None else {}
+    picture = None
+    if draw is not None:
+        with phases("preview"):
+            picture = draw()
+    with phases("writing"):
+        manifest = build_manifest(
+            baked, name=read.name, inputs=read.inputs(), conventions=read.conventions(), status_names=STATUS_NAMES,
+            measured=measured, notes=read.notes, digests=read.digests,
+        )  # fmt: skip
+        for part, more in noted.items():
+            manifest[part] = {**manifest.get(part, {}), **more}
+        manifest |= record or {}
+        manifest = write(baked, manifest, picture)
+    return manifest, measured
+
+
+def _without_normals(options: BakeOptions, without: Collection[str]) -> BakeOptions:
+    """Where all normals are z, the normal is held: there is nothing to search."""
+    return with_options(options, {"normal": "mean"}) if "normal" in without else options
+
+
+class Phases:
+    """Times phases and tells the listener."""
+
+    def __init__(self, progress: ProgressListener | None = None, **seconds: float) -> None:
+        self.progress = progress
+        self.seconds = seconds
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """A phase of this name; of one that comes twice, the seconds are added."""
+        if self.progress is not None:
+            self.progress.phase(name)
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
