@@ -1,93 +1,36 @@
 """Roles of the maps of a texture set, told from file names.
 
 Names are split at separators and at changes of case; resolution and file-type words are dropped wherever they stand;
-the role is the longest known phrase that ends the rest. Conventions covered: ambientCG, the older CC0Textures, Poly
-Haven, Unreal, Substance, glTF, bare role names, and a second role in the alpha channel (``alb_ht``, ``nrm_rgh``).
+the role is the longest known phrase that ends the rest. It is told by what differs between the names of one set: a word
+that stands in all of them is no role, a picture that bears but their common stem is a preview. Conventions covered:
+ambientCG, the older CC0Textures, Poliigon, Poly Haven, Unreal, Unity, Substance, glTF, bare role names, and a second
+role in the alpha channel (``alb_ht``, ``nrm_rgh``).
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-#: Roles a map can have inside the program.
-ROLES = (
-    "base_color", "normal", "roughness", "gloss", "metallic", "specular", "specular_level", "specular_color",
-    "anisotropy", "height", "ao", "opacity",
+from brdffit.textures.naming_words import (
+    LAYERS,
+    LETTERS,
+    NOISE,
+    NORMAL_Y,
+    OLD_CC0_WORDS,
+    PACKED,
+    PACKING_LETTERS,
+    PREVIEWS,
+    ROLES,
+    SAFE_ANYWHERE,
+    VARIANT,
+    WORDS,
 )  # fmt: skip
 
-_ROLE_WORDS = {
-    "base_color": "basecolor basecolour color colour col albedo alb diffuse diff dif diffusecolor basemap bc",
-    "normal": "normal normals nor norm nrm nrml nml tangentnormal",
-    "roughness": "roughness rough rgh roughnesses",
-    "gloss": "gloss glossiness glossy smoothness smooth gls",
-    "metallic": "metallic metalness metallicity metal met mtl",
-    "specular": "specular spec spc specularcolor reflection refl",
-    "height": "height heights displacement disp displace depth bump bmp ht dsp heightfield",
-    "ao": "ao occlusion occ ambientocclusion ambientocc mixedao",
-}
-#: Packed maps: which role lies in which channel, red first; None is a channel without a role here.
-_PACKED_WORDS: dict[str, tuple[str | None, ...]] = {
-    "metallicroughness": (None, "roughness", "metallic"),
-    "roughnessmetallic": (None, "roughness", "metallic"),
-    "maskmap": ("metallic", "ao", None, "gloss"),
-    "metallicsmoothness": ("metallic", None, None, "gloss"),
-    "specularglossiness": ("specular", None, None, "gloss"),
-    "specgloss": ("specular", None, None, "gloss"),
-}
-_PACKED_PARTS = {
-    "ao": ("o", "ao", "occlusion", "ambientocclusion"),
-    "roughness": ("r", "rough", "roughness"),
-    "metallic": ("m", "metal", "metallic", "metalness"),
-}
-LETTERS = {
-    "d": "base_color",
-    "c": "base_color",
-    "b": "base_color",
-    "a": "base_color",
-    "n": "normal",
-    "r": "roughness",
-    "m": "metallic",
-    "h": "height",
-    "o": "ao",
-    "s": "specular",
-    "g": "gloss",
-}
-#: Words that may stand anywhere in a name, also before the material's, without being mistaken for its subject.
-_SAFE_ANYWHERE = frozenset(
-    ("albedo", "basecolor", "diffuse", "normal", "roughness", "metallic", "metalness", "displacement", "height", "ao")
-)
-_NOISE = re.compile(
-    r"\d{1,2}k|\d+x\d+|png|jpe?g|exr|tiff?|tga|bmp|webp|hdr|dds|\d+bits?|maps?|tex|texture|seamless|tileable|raw"
-    r"|linear|srgb|lossless|hires|lowres"
-)
-_OLD_CC0_WORDS = frozenset(("col", "rgh", "met", "disp"))
-
-
-def _words() -> tuple[dict[str, str], dict[str, tuple[str | None, ...]], dict[str, str]]:
-    words = {word: role for role, text in _ROLE_WORDS.items() for word in text.split()}
-    normal_y = {}
-    for word in [*_ROLE_WORDS["normal"].split(), "n"]:
-        for tail, direction in (("gl", "gl"), ("opengl", "gl"), ("ogl", "gl"), ("dx", "dx"), ("directx", "dx")):
-            words[word + tail] = "normal"
-            normal_y[word + tail] = direction
-    packed = dict(_PACKED_WORDS)
-    # "arm" begins with the letter of "ambient"; elsewhere occlusion is "o" or a word.
-    packed |= {"arm": ("ao", "roughness", "metallic"), "mra": ("metallic", "roughness", "ao")}
-    packed |= {"ram": ("roughness", "ao", "metallic"), "rma": ("roughness", "metallic", "ao")}
-    roles = tuple(_PACKED_PARTS)
-    for order in [(i, j, k) for i in range(3) for j in range(3) for k in range(3) if {i, j, k} == {0, 1, 2}]:
-        named = tuple(roles[i] for i in order)
-        for first in _PACKED_PARTS[named[0]]:
-            for second in _PACKED_PARTS[named[1]]:
-                for third in _PACKED_PARTS[named[2]]:
-                    if len({len(first) == 1, len(second) == 1, len(third) == 1}) == 1:
-                        packed.setdefault(first + second + third, named)
-    return words, packed, normal_y
-
-
-_WORDS, _PACKED, _NORMAL_Y = _words()
+__all__ = ("LETTERS", "ROLES", "NamedMap", "NamedSet", "name_tokens", "old_cc0textures", "packed_roles",
+           "roles_from_names")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -118,17 +61,19 @@ class NamedSet:
         ignored: files that have no role, or gave way to another file of the same role.
         notes: what was assumed, one sentence each.
         rivals: for a role that files of differently named materials claim, all these files.
+        stems: of each file, what its name has beside its role.
     """
 
     maps: dict[str, NamedMap]
     ignored: list[str]
     notes: list[str]
     rivals: dict[str, list[str]]
+    stems: dict[str, str] = field(default_factory=dict)
 
 
 def packed_roles(word: str) -> tuple[str | None, ...] | None:
     """Roles by channel, red first, of a packing's name such as "orm" or "arm"; None when it is no packing."""
-    return _PACKED.get(re.sub(r"[^a-z]", "", word.lower()))
+    return PACKED.get(re.sub(r"[^a-z]", "", word.lower()))
 
 
 def name_tokens(stem: str) -> list[str]:
@@ -136,9 +81,10 @@ def name_tokens(stem: str) -> list[str]:
 
     Numbers stay between words, so that "rusty_metal_05_rough" does not join to "metal rough", and go at the end.
     """
+    stem = re.sub(r"ORDp", "Ordp", stem)
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=\d)(?=[A-Z][a-z])", " ", stem)
     tokens = [token.lower() for token in re.split(r"[^A-Za-z0-9]+", spaced) if token]
-    kept = [token for token in tokens if not _NOISE.fullmatch(token)]
+    kept = [token for token in tokens if not NOISE.fullmatch(token)]
     # "NormalMap" and "MaskMap": the word alone is noise, the phrase is not.
     for i in range(len(tokens) - 1):
         if tokens[i] + tokens[i + 1] in ("maskmap",):
@@ -156,33 +102,44 @@ def roles_from_names(files: Iterable[str], alpha: Iterable[str] = ()) -> NamedSe
         alpha: the files among them that have an alpha channel; only these can carry a second role in it.
     """
     files, alpha = sorted(files), set(alpha)
+    tokens = _subject_stripped({file: name_tokens(file.rsplit(".", 1)[0]) for file in files}, alpha)
+    shared = set.intersection(*map(set, tokens.values())) if len(files) > 1 else set()
     found: list[NamedMap] = []
     stems: dict[str, str] = {}
     letters: list[NamedMap] = []
-    nameless: list[tuple[str, list[str]]] = []
+    nameless: list[str] = []
+    layers: list[str] = []
     for file in files:
-        tokens = name_tokens(file.rsplit(".", 1)[0])
-        named, used = _maps_of(file, tokens, file in alpha)
-        stems[file] = "".join(tokens[: len(tokens) - used])
-        if named:
+        words = tokens[file]
+        named, used = _maps_of(file, words, file in alpha)
+        if used > 1 and words[-used] == "metal" and _is_shared(words[: 1 - used], file, tokens):
+            named, used = _maps_of(file, words[1 - used :], file in alpha)  # the metal is the subject's
+        stems[file] = "".join(words[: len(words) - used])
+        if _is_layer(words, used, shared):
+            layers.append(file)
+        elif named:
             found += named
-        elif tokens and tokens[-1] in LETTERS:
-            stems[file] = "".join(tokens[:-1])
-            letters.append(NamedMap(file, LETTERS[tokens[-1]], "", tokens[-1]))
+        elif words and words[-1] in LETTERS:
+            stems[file] = "".join(words[:-1])
+            letters.append(NamedMap(file, LETTERS[words[-1]], "", words[-1]))
         else:
-            nameless.append((file, tokens))
+            nameless.append(file)
     notes: list[str] = []
+    found = _without_previews(found, tokens, stems, notes)
     found += _agreeing_letters(letters, found, stems)
-    for file, tokens in nameless:
-        _second_chance(file, tokens, found, notes)
+    for file in nameless:
+        _second_chance(file, tokens[file], found, notes)
     maps = _choose(found, notes)
     chosen = {choice.file for choice in maps.values()}
+    _name_packings([file for file in nameless if file not in chosen], tokens, found, stems, notes)
+    if layers and maps:
+        notes.append(f"Layers and mesh maps that are no part of the surface are left out: {', '.join(layers)}.")
     rivals: dict[str, list[str]] = {}
     for role in maps:
         claims = {claim.file: stems[claim.file] for claim in found if claim.role == role}
         if len(set(claims.values())) > 1:
             rivals[role] = list(claims)
-    return NamedSet(maps, [file for file in files if file not in chosen], notes, rivals)
+    return NamedSet(maps, [file for file in files if file not in chosen], notes, rivals, stems)
 
 
 def old_cc0textures(named: NamedSet) -> bool:
@@ -193,21 +150,87 @@ def old_cc0textures(named: NamedSet) -> bool:
         return False
     if any(re.fullmatch(r"var\d+", word) for word in words):
         return True
-    return normal.word == "nrm" and bool(words & _OLD_CC0_WORDS)
+    return normal.word == "nrm" and bool(words & OLD_CC0_WORDS)
+
+
+def _subject_stripped(tokens: dict[str, list[str]], alpha: set[str]) -> dict[str, list[str]]:
+    """Tokens without the last word, where it is a workflow's and not a role: ``X_COL_METALNESS``, ``X_NRM_METALNESS``.
+
+    Several files end with the same word, and what stands before it are different roles.
+    """
+    before: dict[str, dict[str, str]] = {}
+    for file, words in tokens.items():
+        if file not in alpha and len(words) > 1 and words[-1] in WORDS:
+            role = _maps_of(file, words[:-1], False)[0]
+            if role:
+                before.setdefault(words[-1], {})[file] = role[0].role
+    stripped = dict(tokens)
+    for roles in before.values():
+        if len(set(roles.values())) > 1:
+            stripped |= {file: tokens[file][:-1] for file in roles}
+    return stripped
+
+
+def _is_shared(words: list[str], file: str, tokens: dict[str, list[str]]) -> bool:
+    """Whether another file's name begins with these words."""
+    return any(other != file and each[: len(words)] == words for other, each in tokens.items())
+
+
+def _is_layer(words: list[str], used: int, shared: set[str]) -> bool:
+    """Whether a name is that of a layer or a mesh map; a word that all names share is the subject's."""
+    role, rest = words[len(words) - used :], words[: len(words) - used]
+    ends = [rest[-1], "".join(rest[-2:]), rest[-1] + (role[0] if role else "")] if rest else []
+    return any(end in LAYERS and not set(rest[-2:]) <= shared and rest[-1] not in shared for end in ends)
+
+
+def _without_previews(
+    found: list[NamedMap], tokens: dict[str, list[str]], stems: dict[str, str], notes: list[str]
+) -> list[NamedMap]:
+    """Without pictures that bear but the stem of two or more other files, or a word for previews."""
+    owners = Counter(stems[file] for file in {named.file for named in found})
+    previews = {
+        named.file
+        for named in found
+        if owners["".join(tokens[named.file])] - (stems[named.file] == "".join(tokens[named.file])) >= 2
+        or PREVIEWS & set(tokens[named.file][-2:])
+    }
+    for file in sorted(previews):
+        notes.append(f"'{file}' bears the name of the whole set: it is taken as a preview, not as a map.")
+    return [named for named in found if named.file not in previews]
+
+
+def _name_packings(
+    files: list[str], tokens: dict[str, list[str]], found: list[NamedMap], stems: dict[str, str], notes: list[str]
+) -> None:
+    """A sentence for each file without a role whose last word looks like letters of a packing."""
+    known = {stems[named.file] for named in found}
+    for file in files:
+        words = tokens[file]
+        letters = words[-1] if words else ""
+        if 3 <= len(letters) <= 5 and len(set(letters)) == len(letters) and set(letters) <= PACKING_LETTERS:
+            if "".join(words[:-1]) in known:
+                notes.append(
+                    f"'{file}' looks like a packing of several maps and is not used: name what it holds, as in "
+                    f"--role orm={file}, or one channel, as in --role roughness={file}:G."
+                )
 
 
 def _maps_of(file: str, tokens: list[str], has_alpha: bool) -> tuple[list[NamedMap], int]:
     """Maps told by the end of the name, and how many tokens told it."""
+    if len(tokens) > 1 and VARIANT.fullmatch(tokens[-1]):
+        named, used = _maps_of(file, tokens[:-1], has_alpha)
+        return named, used + 1 if named else 0
     for start in range(len(tokens)):
         phrase = "".join(tokens[start:])
-        if phrase in _PACKED:
-            channels = zip("RGBA", _PACKED[phrase], strict=False)
+        # "HammeredMetal_Roughness" is the roughness of a metal; "MetalRough" in one word is a packing.
+        if phrase in PACKED and not (tokens[start] == "metal" and phrase not in file.lower()):
+            channels = zip("RGBA", PACKED[phrase], strict=False)
             maps = [NamedMap(file, role, channel, phrase) for channel, role in channels if role]
             if maps[0].role == "specular":
                 maps[0] = NamedMap(file, "specular", "", phrase)
             return maps, len(tokens) - start
-        if phrase in _WORDS:
-            first = NamedMap(file, _WORDS[phrase], "", phrase, _NORMAL_Y.get(phrase, ""))
+        if phrase in WORDS:
+            first = NamedMap(file, WORDS[phrase], "", phrase, NORMAL_Y.get(phrase, ""))
             used = len(tokens) - start
             # Two role words and an alpha channel: the first in the colours, the second in alpha.
             if has_alpha and first.role not in ("base_color", "normal"):
@@ -232,14 +255,25 @@ def _second_chance(file: str, tokens: list[str], found: list[NamedMap], notes: l
     for i in range(len(tokens)):
         for j in range(len(tokens), i, -1):
             phrase = "".join(tokens[i:j])
-            if (phrase in _NORMAL_Y or phrase in _SAFE_ANYWHERE) and _WORDS[phrase] not in taken:
-                found.append(NamedMap(file, _WORDS[phrase], "", phrase, _NORMAL_Y.get(phrase, "")))
+            if (phrase in NORMAL_Y or phrase in SAFE_ANYWHERE) and WORDS[phrase] not in taken:
+                found.append(NamedMap(file, WORDS[phrase], "", phrase, NORMAL_Y.get(phrase, "")))
                 return
     if tokens and re.fullmatch(r"var\d+", tokens[-1]) and "roughness" not in taken:
         found.append(NamedMap(file, "roughness", "", tokens[-1]))
         notes.append(
             f"'{file}' is taken as roughness: '_{tokens[-1]}' is an imperfection map of the older CC0Textures."
         )
+
+
+#: A copy that a file manager made.
+_COPY = re.compile(r"\(\d+\)\.|[ _-](copy|kopie|copia)\b", re.IGNORECASE)
+
+
+def _resolution(file: str) -> int:
+    """Side in texels that a name says (4K, 2048, 2048x2048), or 0."""
+    sides = [1024 * int(number) for number in re.findall(r"(?<![A-Za-z0-9])(\d{1,2})[kK](?![A-Za-z])", file)]
+    sides += [int(number) for number in re.findall(r"(?<!\d)(256|512|1024|2048|4096|8192|16384)(?!\d)", file)]
+    return max(sides, default=0)
 
 
 def _choose(found: list[NamedMap], notes: list[str]) -> dict[str, NamedMap]:
@@ -255,6 +289,8 @@ def _choose(found: list[NamedMap], notes: list[str]) -> dict[str, NamedMap]:
             key=lambda named: (
                 rank[named.normal_y],
                 bool(named.channel),
+                bool(_COPY.search(named.file)),
+                -_resolution(named.file),
                 named.file.rsplit(".", 1)[-1].lower() not in formats,
                 -len(named.word),
                 named.file,

@@ -76,6 +76,64 @@ CONVENTIONS = {
     "depth": {"sand_depth.png": ["height"], "sand_normal.png": ["normal"]},
     "a metal's preview is no metallic map": {"MetalPlates006.png": [], "MetalPlates006_NormalDX.png": ["normal"]},
     "rough metal is not packed": {"rusty_metal_05_rough.jpg": ["roughness"]},
+    "Poliigon": {
+        "Bricks_COL_VAR1_3K.jpg": ["base_color"],
+        "Bricks_COL_VAR2_3K.jpg": [],
+        "Bricks_GLOSS_3K.jpg": ["gloss"],
+        "Bricks_NRM_3K.jpg": ["normal"],
+        "Bricks_REFL_3K.jpg": ["specular"],
+        "Bricks_DISP_3K.jpg": ["height"],
+    },
+    "a preview bears the common stem": {
+        "Brushed_Metal.png": [],
+        "Brushed_Metal_Color.png": ["base_color"],
+        "Brushed_Metal_NormalGL.png": ["normal"],
+        "Brushed_Metal_Roughness.png": ["roughness"],
+    },
+    "a workflow's word is no role": {
+        "Iron_COL_4K_METALNESS.png": ["base_color"],
+        "Iron_NRM_4K_METALNESS.png": ["normal"],
+        "Iron_ROUGHNESS_4K_METALNESS.png": ["roughness"],
+        "Iron_METALNESS_4K_METALNESS.png": ["metallic"],
+        "Iron_AO_4K.png": ["ao"],
+    },
+    "MetalRough": {"A_MetalRough.png": ["roughness:G", "metallic:B"], "A_Normal.png": ["normal"]},
+    "metalnessRoughness": {"A_metalnessRoughness.png": ["roughness:G", "metallic:B"], "A_Normal.png": ["normal"]},
+    "MRAO": {"A_MRAO.png": ["metallic:R", "roughness:G", "ao:B"], "A_Normal.png": ["normal"]},
+    "RMAO": {"A_RMAO.png": ["roughness:R", "metallic:G", "ao:B"], "A_Normal.png": ["normal"]},
+    "ORDp": {"A_ORDp.png": ["ao:R", "roughness:G", "height:B"], "A_N.png": ["normal"]},
+    "ARD": {"A_ARD.png": ["ao:R", "roughness:G", "height:B"], "A_Normal.png": ["normal"]},
+    "Unity's": {"A_MetallicGlossMap.png": ["metallic:R", "gloss:A"], "A_Normal.png": ["normal"]},
+    "Unity's specular": {"A_SpecularSmoothness.png": ["specular", "gloss:A"], "A_Normal.png": ["normal"]},
+    "other layers": {
+        "A_EmissiveColor.png": [],
+        "A_SheenColor.png": [],
+        "A_ID_Color.png": [],
+        "A_ClearcoatRoughness.png": [],
+        "A_Normal.png": ["normal"],
+        "A_Roughness.png": ["roughness"],
+    },
+    "mesh maps": {
+        "A_Normal.png": ["normal"],
+        "A_bent_normals.png": [],
+        "A_world_space_normals.png": [],
+        "A_DetailNormal.png": [],
+        "A_curvature.png": [],
+        "A_Roughness.png": ["roughness"],
+    },
+    "a material's own word is no layer": {
+        "Coat_Color.png": ["base_color"],
+        "Coat_Normal.png": ["normal"],
+        "Coat_Roughness.png": ["roughness"],
+    },
+    "two resolutions": {
+        "A_1K_Normal.png": [],
+        "A_4K_Normal.png": ["normal"],
+        "A_1K_Color.png": [],
+        "A_4K_Color.png": ["base_color"],
+    },
+    "a copy": {"Wood_Normal.png": ["normal"], "Wood_Roughness.png": ["roughness"], "Wood_Roughness(1).png": []},
+    "opacity": {"Leaf_Opacity.png": ["opacity"], "Leaf_Normal.png": ["normal"]},
 }
 
 
@@ -155,6 +213,21 @@ def test_materials_that_claim_one_role_are_rivals() -> None:
 def test_packings_by_letters(word: str, roles: str) -> None:
     letters = {"ao": "a", "roughness": "r", "metallic": "m"}
     assert "".join(letters[role] for role in packed_roles(word) or ()) == roles
+
+
+def test_what_looks_packed_is_named() -> None:
+    named = roles_from_names(["A_Normal.png", "A_MRH.png", "A_grain.png", "B_ogre.png"])
+    assert [note for note in named.notes if "looks like a packing" in note] == [
+        "'A_MRH.png' looks like a packing of several maps and is not used: name what it holds, as in "
+        "--role orm=A_MRH.png, or one channel, as in --role roughness=A_MRH.png:G."
+    ]
+
+
+def test_layers_previews_and_rivals_are_said() -> None:
+    named = roles_from_names(["A_Normal.png", "A_SheenColor.png", "A_EmissiveColor.png"])
+    assert "left out: A_EmissiveColor.png, A_SheenColor.png" in named.notes[-1]
+    named = roles_from_names(["Brushed_Metal.png", "Brushed_Metal_Color.png", "Brushed_Metal_Normal.png"])
+    assert any("'Brushed_Metal.png' bears the name of the whole set" in note for note in named.notes)
 
 
 def test_real_sets_are_found_as_they_are(real_sets: Path) -> None:
