@@ -9,6 +9,10 @@ from collections.abc import Iterable
 class BrdffitError(Exception):
     """Something the user can mend; its text is one full sentence, shown as it stands (exit code 1)."""
 
+    def __str__(self) -> str:
+        # File names need not be UTF-8: what cannot be shown is escaped, or the sentence could not be printed.
+        return super().__str__().encode("utf-8", "backslashreplace").decode("utf-8")
+
 
 class InputError(BrdffitError):
     """An input file or folder that cannot be used as given."""

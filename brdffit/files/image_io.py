@@ -21,7 +21,18 @@ from numpy.typing import NDArray
 from brdffit.errors import InputError, OutputError
 
 #: File types that are read as maps of a texture set.
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff", ".tga", ".bmp", ".webp", ".hdr", ".dds")
+IMAGE_SUFFIXES = (
+    ".png", ".jpg", ".jpeg", ".jpe", ".jif", ".jfif", ".jfi", ".exr", ".sxr", ".mxr", ".tif", ".tiff", ".tx", ".tga",
+    ".tpic", ".bmp", ".dib", ".webp", ".hdr", ".rgbe", ".dds", ".jp2", ".j2k", ".j2c", ".jph", ".jxl", ".psd", ".psb",
+    ".gif", ".ico", ".dpx", ".cin", ".pnm", ".ppm", ".pgm", ".pbm", ".pfm", ".rla", ".sgi", ".rgb", ".rgba", ".iff",
+    ".fits", ".pic",
+)  # fmt: skip
+#: File types that hold pictures or materials and are not read: they are listed, so that nobody looks for them.
+UNREAD_SUFFIXES = (
+    ".ktx", ".ktx2", ".basis", ".avif", ".heic", ".heif", ".svg", ".pdf", ".sbsar", ".sbs", ".spp", ".usd", ".usda",
+    ".usdc", ".usdz", ".blend", ".fbx", ".obj", ".mtl", ".mat", ".uasset", ".tres", ".vmt", ".vtf", ".pcx", ".crn",
+    ".astc", ".pvr", ".xcf", ".kra", ".raw", ".rat",
+)  # fmt: skip
 #: Side of the tiles of written EXR files, in texels.
 TILE_SIZE = 64
 
@@ -39,6 +50,11 @@ class ImageInfo:
         bits: stored bits per channel (8 or 16 for integers, 16 for half, 32 for float).
         is_float: whether the file stores half or float.
         format: name of the file format ("png", "jpeg", "openexr", ...).
+        orientation: how it is stored, 1 to 8 as in Exif; width and height are those of the picture set upright.
+        associated: whether the file says that its colours are multiplied by alpha.
+        part: which part of a file of several it is.
+        picked: indices of its channels among those of the file, where the file holds more; () for all.
+        remark: what of the file is left out, or "".
     """
 
     path: Path
@@ -48,6 +64,11 @@ class ImageInfo:
     bits: int
     is_float: bool
     format: str
+    orientation: int = 1
+    associated: bool = False
+    part: int = 0
+    picked: tuple[int, ...] = ()
+    remark: str = ""
 
     @cached_property
     def sha256(self) -> str:
@@ -55,7 +76,7 @@ class ImageInfo:
         return file_sha256(self.path)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Image(ImageInfo):
     """An image file with its pixels.
 
@@ -93,9 +114,10 @@ def read_info(path: str | Path, data: bytes | None = None) -> ImageInfo:
 
 
 def read_image(path: str | Path, data: bytes | None = None) -> Image:
-    """Read the first subimage of a file at full resolution; alpha stays unassociated, colours stay undecoded.
+    """Read a file at full resolution, set upright; colours are divided by associated alpha, and stay undecoded.
 
-    ``data`` are the bytes of an image that is embedded in ``path``.
+    Of a file of several parts the first with colours is read, of several layers the first. ``data`` are the bytes of
+    an image that is embedded in ``path``.
 
     Raises:
         InputError: when the file is missing, empty, unreadable, no image, or truncated (JPEG too).
@@ -104,7 +126,8 @@ def read_image(path: str | Path, data: bytes | None = None) -> Image:
     with _embedded(path, data) as file:
         reader, info = _open(path, file)
         try:
-            pixels = reader.read_image(0, 0, 0, len(info.channels), oiio.FLOAT)
+            count = reader.spec().nchannels
+            pixels = reader.read_image(info.part, 0, 0, count, oiio.FLOAT)
             # A truncated JPEG returns an array: only the error tells.
             problem = reader.geterror() if reader.has_error else ""
         finally:
@@ -113,8 +136,27 @@ def read_image(path: str | Path, data: bytes | None = None) -> Image:
         raise InputError(
             f"'{path}' is truncated or damaged ({_one_line(problem)}), expected {info.width}x{info.height} pixels."
         )
-    pixels = np.asarray(pixels, dtype=np.float32).reshape(info.height, info.width, len(info.channels))
+    stored = (info.height, info.width) if info.orientation < 5 else (info.width, info.height)
+    pixels = np.asarray(pixels, dtype=np.float32).reshape(*stored, count)
+    if info.picked:
+        pixels = pixels[:, :, info.picked]
+    if info.associated:
+        alpha = pixels[:, :, -1:]
+        colours = np.divide(pixels[:, :, :-1], alpha, out=np.zeros_like(pixels[:, :, :-1]), where=alpha > 0.0)
+        pixels = np.concatenate([colours if info.is_float else np.minimum(colours, 1.0), alpha], axis=2)
+    pixels = np.ascontiguousarray(_upright(pixels, info.orientation))
     return Image(**{name: getattr(info, name) for name in ImageInfo.__dataclass_fields__}, pixels=pixels)
+
+
+def _upright(pixels: NDArray, orientation: int) -> NDArray:
+    """Stored pixels (H, W, C) as the picture is meant: Exif orientations 1 to 8."""
+    if orientation >= 5:
+        pixels = pixels.transpose(1, 0, 2)
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    return pixels
 
 
 def write_png(path: str | Path, pixels: NDArray) -> None:
@@ -225,6 +267,7 @@ def _embedded(path: Path, data: bytes | None) -> Iterator[Path]:
         yield path
         return
     suffix = ".jpg" if data[:2] == b"\xff\xd8" else ".webp" if data[8:12] == b"WEBP" else ".png"
+    suffix = ".dds" if data[:4] == b"DDS " else suffix
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"embedded{suffix}"
         file.write_bytes(data)
@@ -246,25 +289,76 @@ def _open(path: Path, file: Path) -> tuple[oiio.ImageInput, ImageInfo]:
         raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
-    reader = oiio.ImageInput.open(str(file), config)
+    try:
+        reader = oiio.ImageInput.open(str(file), config)
+    except (UnicodeEncodeError, TypeError) as error:
+        raise InputError(f"'{path}' has a name that is not UTF-8, expected one that is: rename it.") from error
     if reader is None:
         raise InputError(f"'{path}' is not an image that can be read ({_one_line(oiio.geterror())}).")
+    part, remark = _first_with_colours(reader)
     spec = reader.spec()
+    names, picked, more = _default_layer(tuple(spec.channelnames))
+    remark = remark + more
     base = str(oiio.TypeDesc(spec.format.basetype))
+    orientation = spec.get_int_attribute("Orientation", 1)
+    orientation = orientation if 1 <= orientation <= 8 else 1
+    is_tiff = reader.format_name() == "tiff"
     info = ImageInfo(
         path=path,
-        width=spec.width,
-        height=spec.height,
-        channels=tuple(spec.channelnames),
+        width=spec.width if orientation < 5 else spec.height,
+        height=spec.height if orientation < 5 else spec.width,
+        channels=names,
         bits=_BITS.get(base, 32),
         is_float=base in ("half", "float", "double"),
         format=reader.format_name(),
+        orientation=orientation,
+        # Of the formats that say which it is, TIFF is the one in which both are met.
+        associated=is_tiff and names[-1:] == ("A",) and not spec.get_int_attribute("oiio:UnassociatedAlpha", 0),
+        part=part,
+        picked=picked,
+        remark=remark,
     )
     if reader.has_error:
         problem = _one_line(reader.geterror())
         reader.close()
         raise InputError(f"'{path}' is not an image that can be read ({problem}).")
     return reader, info
+
+
+def _first_with_colours(reader: oiio.ImageInput) -> tuple[int, str]:
+    """The part of a file to read, and what is left out; the reader is set to it. MIP levels are no parts."""
+    if reader.format_name() != "openexr" or not reader.seek_subimage(1, 0):
+        reader.seek_subimage(0, 0)
+        reader.geterror()
+        return 0, ""
+    names: list[str] = []
+    chosen = None
+    while reader.seek_subimage(len(names), 0):
+        spec = reader.spec()
+        names.append(spec.get_string_attribute("name") or str(len(names)))
+        plain = {channel.rpartition(".")[2] for channel in spec.channelnames}
+        if chosen is None and ({"R", "G", "B"} <= plain or {"X", "Y", "Z"} <= plain or plain == {"Y"}):
+            chosen = len(names) - 1
+    chosen = chosen or 0
+    reader.geterror()
+    reader.seek_subimage(chosen, 0)
+    return chosen, f" has {len(names)} parts ({', '.join(names)}): '{names[chosen]}' is read."
+
+
+def _default_layer(names: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[int, ...], str]:
+    """Channel names without their layer, indices of those that are read (() for all), and what is left out."""
+    layers = list(dict.fromkeys(name.rpartition(".")[0] for name in names))
+    chosen = "" if "" in layers else (layers[0] if layers else "")
+    indices = [k for k, name in enumerate(names) if name.rpartition(".")[0] == chosen]
+    plain: Sequence[str] = [names[k].rpartition(".")[2] for k in indices]
+    if {"R", "G", "B"} <= set(plain):
+        # Depth and what else stands beside colours is no channel of a map.
+        indices = [indices[plain.index(letter)] for letter in "RGBA" if letter in plain]
+        plain = [names[k].rpartition(".")[2] for k in indices]
+    if indices == list(range(len(names))):
+        return tuple(plain), (), ""
+    left = [name for k, name in enumerate(names) if k not in indices]
+    return tuple(plain), tuple(indices), f" holds more channels ({', '.join(left[:8])}), which are left out."
 
 
 def _create(path: Path, file_format: str) -> oiio.ImageOutput:

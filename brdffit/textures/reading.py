@@ -245,6 +245,8 @@ def check_sizes(texture_set: TextureSet, path: Path) -> None:
         height, width = named.size
         if max(height, width) > MAX_SIDE:
             raise InputError(f"'{named.path}' is {width}x{height} texels, expected at most {MAX_SIDE} a side.")
+        if named.info.remark:
+            texture_set.note(f"'{named.path.name}'{named.info.remark}")
     for named in texture_set.maps.values():
         if not _fits(named.size, texture_set.size):
             for small in (each for each in texture_set.maps.values() if not _fits(each.size, named.size)):

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import os
+import struct
 import time
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
+import PIL.Image
+import PIL.ImageOps
 import pytest
 from pictures import write_image
 
 from brdffit.errors import InputError, OutputError
-from brdffit.files.image_io import read_image, read_info, read_mip_exr, write_mip_exr, write_png
+from brdffit.files.image_io import IMAGE_SUFFIXES, read_image, read_info, read_mip_exr, write_mip_exr, write_png
 
 RNG = np.random.default_rng(0)
 
@@ -126,3 +130,99 @@ def test_a_full_disk_and_a_missing_folder_are_told(tmp_path: Path, suffix: str) 
     (tmp_path / f"a.{suffix}").symlink_to("/dev/full")
     with pytest.raises(OutputError, match="is the folder writable and the disk not full"):
         write(tmp_path / f"a.{suffix}")
+
+
+# What files say of their pixels
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_picture_is_set_upright(tmp_path: Path, orientation: int) -> None:
+    """Against Pillow, which has its own table."""
+    pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
+    path = tmp_path / "a.tif"
+    PIL.Image.fromarray(pixels).save(path, tiffinfo={274: orientation})
+    expected = np.asarray(PIL.ImageOps.exif_transpose(PIL.Image.open(path)))
+    image = read_image(path)
+    assert (image.height, image.width) == expected.shape[:2]
+    np.testing.assert_array_equal(np.rint(image.pixels * 255), expected)
+
+
+def test_colours_of_a_tiff_with_associated_alpha_are_divided_by_it(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    colour, alpha = rng.random((4, 5, 3)), rng.uniform(0.3, 1.0, (4, 5, 1))
+    alpha[0, 0] = 0.0
+    associated = np.concatenate([colour * alpha, alpha], axis=2).astype(np.float32)
+    spec = oiio.ImageSpec(5, 4, 4, "uint16")
+    writer = oiio.ImageOutput.create("tiff")
+    assert writer.open(str(tmp_path / "a.tif"), spec)
+    assert writer.write_image(associated)
+    assert writer.close()
+    image = read_image(tmp_path / "a.tif")
+    assert image.associated
+    np.testing.assert_allclose(image.pixels[1:, :, :3], colour[1:], atol=1e-4)
+    np.testing.assert_allclose(image.pixels[..., 3:], alpha, atol=1e-4)
+    np.testing.assert_array_equal(image.pixels[0, 0], 0.0)
+    for suffix in ("tif", "png"):
+        file = write_image(tmp_path / f"b.{suffix}", np.concatenate([colour, alpha], axis=2), "uint16")
+        image = read_image(file)
+        assert not image.associated
+        np.testing.assert_allclose(image.pixels[..., :3], colour, atol=1e-4)
+
+
+def test_a_tiff_in_which_white_is_zero_is_turned_over(tmp_path: Path) -> None:
+    """The smallest such file, byte by byte: two texels, 0 and 200 of 255, PhotometricInterpretation 0."""
+    entries = [(256, 3, 2), (257, 3, 1), (258, 3, 8), (259, 3, 1), (262, 3, 0), (273, 4, 8), (277, 3, 1), (278, 3, 1)]
+    entries += [(279, 4, 2)]
+    data = b"II*\0" + struct.pack("<I", 10) + bytes([0, 200]) + struct.pack("<H", len(entries))
+    data += b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in entries) + struct.pack("<I", 0)
+    (tmp_path / "a.tif").write_bytes(data)
+    np.testing.assert_allclose(read_image(tmp_path / "a.tif").pixels[0, :, 0], [1.0, 55 / 255])
+
+
+def test_of_parts_and_layers_the_first_with_colours_is_read_and_the_rest_said(tmp_path: Path) -> None:
+    depth, beauty = np.full((2, 3, 1), 5.0, np.float32), np.random.default_rng(2).random((2, 3, 3)).astype(np.float32)
+    specs = []
+    for name, channels in (("depth", ("Z",)), ("beauty", ("R", "G", "B"))):
+        spec = oiio.ImageSpec(3, 2, len(channels), "float")
+        spec.channelnames = channels
+        spec.attribute("name", name)
+        specs.append(spec)
+    writer = oiio.ImageOutput.create("openexr")
+    assert writer.open(str(tmp_path / "parts.exr"), tuple(specs)), writer.geterror()
+    assert writer.write_image(depth)
+    assert writer.open(str(tmp_path / "parts.exr"), specs[1], "AppendSubimage")
+    assert writer.write_image(beauty)
+    assert writer.close()
+    image = read_image(tmp_path / "parts.exr")
+    np.testing.assert_array_equal(image.pixels, beauty)
+    assert image.remark == " has 2 parts (depth, beauty): 'beauty' is read."
+    spec = oiio.ImageSpec(3, 2, 5, "float")
+    spec.channelnames = ("R", "G", "B", "Z", "spec.R")
+    writer = oiio.ImageOutput.create("openexr")
+    assert writer.open(str(tmp_path / "layers.exr"), spec)
+    assert writer.write_image(np.concatenate([beauty, depth, depth], axis=2))
+    assert writer.close()
+    image = read_image(tmp_path / "layers.exr")
+    np.testing.assert_array_equal(image.pixels, beauty)
+    assert "left out" in image.remark and "spec.R" in image.remark
+
+
+@pytest.mark.parametrize("suffix", ["jp2", "jfif", "psd", "bmp", "tga", "ppm", "sgi", "gif", "jxl"])
+def test_what_the_library_reads_is_looked_at(tmp_path: Path, suffix: str) -> None:
+    assert f".{suffix}" in IMAGE_SUFFIXES
+    file = tmp_path / f"a.{suffix}"
+    pixels = np.random.default_rng(3).integers(0, 256, (8, 8, 3), np.uint8)
+    kind = {"jp2": "JPEG2000", "jfif": "JPEG", "gif": "GIF", "ppm": "PPM", "bmp": "BMP", "tga": "TGA", "sgi": "SGI"}
+    if suffix not in kind:
+        pytest.skip(f"nothing here writes .{suffix}")
+    PIL.Image.fromarray(pixels).save(file, format=kind[suffix])
+    assert read_image(file).pixels.shape[:2] == (8, 8)
+
+
+def test_a_name_that_is_not_utf8_is_told(tmp_path: Path) -> None:
+    file = os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.png")
+    Path(file).write_bytes(b"no matter")
+    with pytest.raises(InputError) as told:
+        read_image(file)
+    assert "is not UTF-8" in str(told.value)
+    str(told.value).encode("utf-8")
