@@ -25,6 +25,7 @@ from brdffit.cli_options import (
     texel_of,
 )
 from brdffit.errors import BrdffitError, UnknownNameError
+from brdffit.probes.cli import probe
 from brdffit.textures import READING_OPTIONS
 
 
@@ -49,6 +50,9 @@ _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 110, "s
 @click.version_option(package_name="brdffit")
 def main() -> None:
     """Bake MIP pyramids of materials that keep their appearance in the distance."""
+
+
+main.add_command(probe)
 
 
 @main.command()

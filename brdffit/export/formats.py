@@ -120,20 +120,28 @@ def get_format(name: str, container: str = "ktx2") -> PixelFormat:
     return FORMATS[name]
 
 
-def chain(size: tuple[int, int]) -> list[tuple[int, int]]:
-    """(height, width) of every level down to 1x1: readers refuse chains that stop short."""
+def chain(size: tuple[int, int], count: int | None = None) -> list[tuple[int, int]]:
+    """(height, width) of every level down to 1x1: readers refuse chains that stop short.
+
+    ``count`` levels only, for cube maps whose levels are lobes.
+    """
     if min(size) < 1:
         raise ValueError(f"size is {size}, expected at least 1x1")
-    return level_sizes(size)
+    sizes = level_sizes(size)
+    if count is not None and not 1 <= count <= len(sizes):
+        raise ValueError(f"{count} levels of {size}, expected 1 to {len(sizes)}")
+    return sizes[:count]
 
 
-def checked(pixels: PixelFormat, sizes: Sequence[tuple[int, int]], levels: LevelData, level: int) -> bytes:
-    """The data of a level, if it is as long as its size says.
+def checked(
+    pixels: PixelFormat, sizes: Sequence[tuple[int, int]], levels: LevelData, level: int, faces: int = 1
+) -> bytes:
+    """The data of a level, of all faces in a row, if it is as long as its size says.
 
     Raises:
         ValueError: when it is not: an encoder has gone wrong.
     """
-    data, expected = levels(level), pixels.level_bytes(sizes[level])
+    data, expected = levels(level), faces * pixels.level_bytes(sizes[level])
     if len(data) != expected:
         height, width = sizes[level]
         raise ValueError(f"level {level} ({width}x{height}, {pixels.name}) has {len(data)} bytes, expected {expected}")

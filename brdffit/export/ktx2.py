@@ -21,22 +21,26 @@ _LINEAR, _SRGB = 1, 2
 
 
 def write_ktx2(
-    file: BinaryIO, pixels: PixelFormat, size: tuple[int, int], levels: LevelData, *, zstd: int | None = None
-) -> None:
-    """Write a 2-D texture with all levels down to 1x1.
+    file: BinaryIO, pixels: PixelFormat, size: tuple[int, int], levels: LevelData, *, zstd: int | None = None,
+    faces: int = 1, count: int | None = None,
+) -> None:  # fmt: skip
+    """Write a 2-D texture with all levels down to 1x1, or a cube map.
 
     Args:
         file: opened for writing in binary, at its beginning, seekable.
         pixels: the format.
         size: (height, width) of level 0.
         levels: data of a level by its number, rows from the top without padding; asked from the smallest level on.
+            Of a cube map the faces +X -X +Y -Y +Z -Z in a row.
         zstd: level of Zstandard supercompression, or None for none.
+        faces: 6 for a cube map.
+        count: levels of a cube map that are given; None for all.
 
     Raises:
         ValueError: when a level has the wrong number of bytes.
         OSError: when the file cannot be written.
     """
-    sizes = chain(size)
+    sizes = chain(size, count)
     descriptor, pairs = _descriptor(pixels), _key_values()
     at_descriptor = _HEADER_BYTES + _INDEX_BYTES * len(sizes)
     at_pairs = at_descriptor + len(descriptor)
@@ -47,7 +51,7 @@ def write_ktx2(
     alignment = 1 if zstd is not None else lcm(pixels.block_bytes, 4)
     index = [(0, 0, 0)] * len(sizes)
     for level in reversed(range(len(sizes))):
-        data = checked(pixels, sizes, levels, level)
+        data = checked(pixels, sizes, levels, level, faces)
         stored = data if zstd is None else _compressed(data, zstd)
         padding = -position % alignment
         file.write(bytes(padding))
@@ -57,7 +61,7 @@ def write_ktx2(
     height, width = size
     supercompression = 0 if zstd is None else _ZSTD
     header = IDENTIFIER + struct.pack(
-        "<9I", pixels.vulkan, pixels.type_size, width, height, 0, 0, 1, len(sizes), supercompression
+        "<9I", pixels.vulkan, pixels.type_size, width, height, 0, 0, faces, len(sizes), supercompression
     )
     header += struct.pack("<4I2Q", at_descriptor, len(descriptor), at_pairs, len(pairs), 0, 0)
     file.seek(start)

@@ -79,6 +79,17 @@ def _unreal(levels: int, size: int) -> Curve:
     )
 
 
+def _babylon(levels: int, size: int) -> Curve:
+    """Babylon: lod = 0.8 log2(size alpha), with its lodGenerationScale of 0.8."""
+    return Curve(
+        "babylon",
+        levels,
+        lambda k: np.minimum(np.sqrt(np.exp2(k / 0.8) / size), 1.0),
+        lambda r: 0.8 * np.log2(np.maximum(size * r * r, 1e-6)),
+        f"lod = 0.8 * log2({size} * r^2)",
+    )
+
+
 def _activision(levels: int, size: int) -> Curve:
     """Activision: gloss 1 - l/last, alpha^2 = 2 / (1 + 2^(18 gloss)); each level is 2^1.5 times as rough."""
     last = max(levels - 1, 1)
@@ -95,6 +106,7 @@ CURVES: dict[str, Callable[[int, int], Curve]] = {
     "linear": _linear,
     "quadratic": _quadratic,
     "activision": _activision,
+    "babylon": _babylon,
     "unity": _unity,
     "unreal": _unreal,
 }

@@ -79,7 +79,7 @@ def read_surroundings(path: str | Path, layout: str | None = None, clamp: bool =
     notes: list[str] = []
     if path.is_dir():
         pixels, layout = _six_faces(path, notes), "faces"
-    elif path.suffix.lower() in (".ktx2", ".dds"):
+    elif path.suffix.lower() in (".ktx2", ".ktx", ".dds"):
         from brdffit.probes.containers import read_cube_file
 
         pixels, layout = read_cube_file(path).levels[0], "cube"
@@ -191,6 +191,12 @@ def _six_faces(folder: Path, notes: list[str]) -> NDArray:
             best = missing
     lacking = f"lacks the face{'s' * (len(best) > 1)} {', '.join(best)}" if best else "holds no faces of a cube"
     raise InputError(f"'{folder}' {lacking}, expected six pictures as px.hdr, nx.hdr, py.hdr, ny.hdr, pz.hdr, nz.hdr.")
+
+
+def is_folder_of_faces(folder: Path) -> bool:
+    """Whether a folder holds at least three pictures that are named as faces of a cube."""
+    stems = [path.stem.lower() for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    return any(sum(any(_is_face(stem, name) for stem in stems) for name in names) >= 3 for names in _FACE_NAMES)
 
 
 def _is_face(stem: str, name: str) -> bool:

@@ -1,0 +1,339 @@
+"""One environment to a folder of what an engine loads: the road that `brdffit probe` takes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError
+from brdffit.files.atomic import first_other, replacing
+from brdffit.files.image_io import file_sha256
+from brdffit.probes.containers import RADIANCE_FORMATS
+from brdffit.probes.cubemap import directions
+from brdffit.probes.curves import Curve, get_curve
+from brdffit.probes.direct import split_bright
+from brdffit.probes.filtering import (
+    METHODS,
+    FilteredLevel,
+    FilterOptions,
+    LevelRequest,
+    filter_levels,
+    level_requests,
+    with_radiance,
+)
+from brdffit.probes.harmonics import irradiance_nine, nine_basis
+from brdffit.probes.parallel import default_threads
+from brdffit.probes.picture import probe_picture
+from brdffit.probes.presets import ProbePreset, get_probe_preset
+from brdffit.probes.reading import CENTRES, Surroundings, as_cube, read_surroundings, reoriented
+from brdffit.probes.sun import Sun, find_sun
+from brdffit.probes.writing import suffix_of, write_probe
+
+#: Texels along a face of the irradiance cube, and of the largest source.
+IRRADIANCE_SIZE, _LARGEST_SOURCE = 32, 1024
+_MIRRORS = {"": np.diag([1, 1, 1]), "x": np.diag([-1, 1, 1]), "z": np.diag([1, 1, -1])}
+
+
+@dataclass(frozen=True)
+class ProbeOptions:
+    """What a probe is asked for; None leaves it to the preset.
+
+    Attributes:
+        preset: a name of ``presets.PRESETS``.
+        size, levels, curve, texel_format: instead of the preset's.
+        method, tolerance, samples, order, table: how levels are filtered (``filtering.FilterOptions``).
+        split: bright texels above this times the mean apart; for "exr" they are left out of level 0.
+        level0: "copy" or "filter".
+        keep_narrow: store lobes narrower than a texel as they are.
+        fit: "texels" (exact values at the texels) or "lookup" (values whose trilinear look-up is nearest the truth).
+        rotate: degrees about +Y, from +X towards -Z.
+        layout: of the input, instead of guessing.
+        centre: where the middle of a lat-long picture looks.
+        clamp: bring values that are no radiance to what is possible.
+        scale: bring radiance below the largest value of the format by a factor, instead of clamping.
+        picture: draw picture.png.
+    """
+
+    preset: str = "plain"
+    size: int | None = None
+    levels: int | None = None
+    curve: str | None = None
+    texel_format: str | None = None
+    method: str = "tree"
+    tolerance: float = 0.01
+    samples: int = 1024
+    order: int = 11
+    table: str = "ggx-quadratic-8"
+    split: float | None = None
+    level0: str = "copy"
+    keep_narrow: bool = False
+    fit: str = "texels"
+    rotate: float = 0.0
+    layout: str | None = None
+    centre: str = "-z"
+    clamp: bool = False
+    scale: bool = False
+    picture: bool = True
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A filtered environment.
+
+    Attributes:
+        surroundings: what was read.
+        preset: with what the options changed.
+        curve: roughness of levels.
+        source: (6, N, N, 3) cube map that was filtered, in the world's axes.
+        levels: filtered levels, in the world's axes.
+        irradiance: (6, 32, 32, 3) irradiance over pi, and its error against brute force.
+        nine: (9, 3) its harmonics, and their relative L1 error against the cube.
+        sun: the lamp that stands out, or None.
+        clamped: texels beyond the format, of all levels.
+        scale: what radiance was multiplied by.
+        notes: sentences.
+        seconds: of each phase.
+    """
+
+    surroundings: Surroundings
+    preset: ProbePreset
+    curve: Curve
+    source: NDArray
+    levels: list[FilteredLevel]
+    irradiance: FilteredLevel
+    nine: NDArray
+    nine_error: float
+    sun: Sun | None
+    clamped: int
+    scale: float
+    notes: list[str]
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def stored(self, cube: NDArray) -> NDArray:
+        """A cube map as the engine looks it up: mirrored as the preset says."""
+        return reoriented(cube, _MIRRORS[self.preset.mirror])
+
+
+def make_probe(
+    path: str | Path, options: ProbeOptions, threads: int | None = None,
+    listener: Callable[[FilteredLevel], None] | None = None,
+) -> Probe:  # fmt: skip
+    """Read and filter an environment.
+
+    Raises:
+        InputError: as ``read_surroundings``, and for options that do not go together.
+    """
+    threads = threads or default_threads()
+    preset = _preset(options)
+    curve = get_curve(options.curve or preset.curve, preset.levels, preset.size)
+    began = time.perf_counter()
+    surroundings = read_surroundings(path, options.layout, options.clamp)
+    natural = min(surroundings.natural_size, _LARGEST_SOURCE)
+    source = as_cube(surroundings, max(natural, preset.size), options.centre, options.rotate, threads)
+    read_seconds = time.perf_counter() - began
+    notes = list(surroundings.notes)
+    if natural < preset.size:
+        notes.append(f"The source resolves about {natural} texels a face: level 0 of {preset.size} holds no more.")
+    tables = ()
+    if options.method == "table":
+        tables = _tables(options, curve)
+    filtering = FilterOptions(
+        options.method, options.tolerance, options.split, options.samples, options.order, tables, threads
+    )
+    requests = level_requests(curve, preset.size, options.level0 == "copy", options.keep_narrow)
+    began = time.perf_counter()
+    levels = filter_levels(source, requests, filtering, listener=listener)
+    narrow = [str(each.level) for each in requests if each.is_widened and each.alpha > 0.0]
+    if narrow:
+        notes.append(f"Lobes of level {', '.join(narrow)} are narrower than a texel there and were widened to one.")
+    if options.fit == "lookup":
+        from brdffit.probes.lookup import fitted_to_lookup
+
+        fitted, before, after = fitted_to_lookup(source, [each.radiance for each in levels], curve, threads)
+        levels = [with_radiance(level, radiance) for level, radiance in zip(levels, fitted, strict=True)]
+        notes.append(f"Levels were fitted to what {curve.name} looks up: error {before:.3f} before, {after:.3f} after.")
+    missed = [str(e.request.level) for e in levels if e.error is not None and e.error > options.tolerance]
+    if missed and options.method == "tree":
+        notes.append(f"Level {', '.join(missed)} errs by more than the tolerance of {options.tolerance:g}.")
+    filter_seconds = time.perf_counter() - began
+    began = time.perf_counter()
+    wide = LevelRequest(0, IRRADIANCE_SIZE, 1.0, 1.0)
+    irradiance = filter_levels(source, [wide], replace(filtering, method="tree"))[0]
+    nine = irradiance_nine(source)
+    drawn = nine_basis(directions(IRRADIANCE_SIZE)) @ nine
+    nine_error = float(np.abs(drawn - irradiance.radiance).sum() / max(np.abs(irradiance.radiance).sum(), 1e-30))
+    if drawn.min() < 0.0:
+        notes.append("The nine harmonics of irradiance are negative in places: use the cube.")
+    sun = find_sun(source)
+    if preset.container == "exr" and options.split:
+        rest, _ = split_bright(levels[0].radiance, options.split)
+        levels[0] = with_radiance(levels[0], rest)
+        notes.append(f"Level 0 is cut at {options.split:g} times the mean: light the scene with the sun besides.")
+    levels, scale, clamped = _within_format(levels, preset, options.scale, notes)
+    if scale != 1.0:
+        irradiance, nine = with_radiance(irradiance, irradiance.radiance * scale), nine * scale
+    seconds = {
+        "reading": read_seconds, "filtering and measuring": filter_seconds,
+        "irradiance and sun": time.perf_counter() - began,
+    }  # fmt: skip
+    return Probe(
+        surroundings, preset, curve, source, levels, irradiance, nine, nine_error, sun, clamped, scale, notes, seconds
+    )
+
+
+def _preset(options: ProbeOptions) -> ProbePreset:
+    """The preset with what the options change, checked."""
+    preset = get_probe_preset(options.preset)
+    size = options.size or preset.size
+    if size < 16 or size & (size - 1):
+        raise InputError(f"A probe of {size} texels a face was asked for, expected a power of two from 16.")
+    levels = options.levels or preset.levels
+    if not 2 <= levels <= size.bit_length():
+        raise InputError(f"{levels} levels were asked for, expected 2 to {size.bit_length()} for {size} texels a face.")
+    texel_format = options.texel_format or preset.texel_format
+    if preset.container != "exr" and texel_format not in RADIANCE_FORMATS:
+        raise InputError(f"There is no format '{texel_format}': known are {', '.join(RADIANCE_FORMATS)}.")
+    if preset.container == "ktx1" and RADIANCE_FORMATS[texel_format].opengl is None:
+        raise InputError(f"A KTX1 file here cannot hold '{texel_format}'.")
+    if options.method not in METHODS:
+        raise InputError(f"There is no method '{options.method}': known are {', '.join(METHODS)}.")
+    if options.centre not in CENTRES:
+        raise InputError(f"The centre cannot be '{options.centre}': known are {', '.join(CENTRES)}.")
+    if not 1e-5 <= options.tolerance <= 0.5:
+        raise InputError(f"A tolerance of {options.tolerance:g} was asked for, expected 0.00001 to 0.5.")
+    return replace(preset, size=size, levels=levels, texel_format=texel_format)
+
+
+def _tables(options: ProbeOptions, curve: Curve) -> tuple:
+    from brdffit.probes.table_files import load_table
+
+    table = load_table(options.table)
+    if table.curve != curve.name:
+        raise InputError(f"The table '{table.name}' is for the curve {table.curve}, found {curve.name}.")
+    return tuple(table.levels)
+
+
+def _within_format(
+    levels: list[FilteredLevel], preset: ProbePreset, scale_down: bool, notes: list[str]
+) -> tuple[list[FilteredLevel], float, int]:
+    """Levels that the format can hold, what they were scaled by, and how many texels were clamped."""
+    largest = RADIANCE_FORMATS[preset.texel_format].largest if preset.container != "exr" else float("inf")
+    peak = max(float(level.radiance.max()) for level in levels)
+    if peak <= largest:
+        return levels, 1.0, 0
+    if scale_down:
+        scale = float(2.0 ** np.floor(np.log2(largest / peak)))
+        notes.append(f"Radiance reaches {peak:.0f}: everything was multiplied by {scale:g}, multiply it back.")
+        return [with_radiance(level, level.radiance * np.float32(scale)) for level in levels], scale, 0
+    clamped = sum(int((level.radiance > largest).any(axis=-1).sum()) for level in levels)
+    notes.append(
+        f"Radiance reaches {peak:.0f}: {clamped} texel{'s' * (clamped != 1)} clamped to {largest:.0f}, the most that "
+        f"{preset.texel_format} holds; --scale keeps them."
+    )
+    return [with_radiance(level, np.minimum(level.radiance, np.float32(largest))) for level in levels], 1.0, clamped
+
+
+def request_digest(path: Path, options: ProbeOptions) -> str:
+    """A digest of an input and what is asked of it: equal digests need no new work."""
+    files = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
+    content = "".join(file_sha256(each) for each in files)
+    asked = json.dumps([asdict(options), version("brdffit"), content], sort_keys=True)
+    return hashlib.sha256(asked.encode()).hexdigest()
+
+
+def bake_probe(
+    path: str | Path, output: Path, options: ProbeOptions, threads: int | None = None, command: str = "",
+    listener: Callable[[FilteredLevel], None] | None = None,
+) -> tuple[Probe, dict[str, Any]]:  # fmt: skip
+    """Make a probe and write its folder, whole or not at all; returns it with its manifest.
+
+    Raises:
+        InputError: when the environment cannot be used.
+        OutputError: when the folder cannot be written.
+    """
+    path = Path(path)
+    probe = make_probe(path, options, threads, listener)
+    with replacing(output, foreign_file) as folder:
+        began = time.perf_counter()
+        files = write_probe(probe, folder)
+        if options.picture:
+            probe_picture(probe, folder / "picture.png", options.tolerance, threads or default_threads())
+            files.append("picture.png")
+        probe.seconds["writing and drawing"] = time.perf_counter() - began
+        manifest = probe_manifest(probe, options, files, command)
+        manifest["digest"] = request_digest(path, options)
+        (folder / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+    return probe, manifest
+
+
+def foreign_file(folder: Path) -> str | None:
+    """What in an existing folder no probe wrote."""
+    ours = {"manifest.json", "picture.png", "harmonics.json", "dfg.exr"}
+    for kind in ("specular", "irradiance"):
+        ours |= {f"{kind}{suffix}" for suffix in (".ktx2", ".ktx", ".dds", ".exr")}
+    ours |= {f"specular-{level}.exr" for level in range(16)}
+    return first_other(folder, ours)
+
+
+def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], command: str) -> dict[str, Any]:
+    """Everything that can be said of a probe, as JSON."""
+    levels = [
+        {
+            "level": each.request.level,
+            "size": each.request.n,
+            "roughness": round(each.request.roughness, 6),
+            "stored_roughness": round(each.request.alpha**0.5, 6),
+            "widened": each.request.is_widened and each.request.alpha > 0.0,
+            "error": None if each.error is None else round(each.error, 6),
+            "bias": None if each.bias is None else round(each.bias, 6),
+            "energy": round(each.energy, 6),
+            "seconds": round(each.seconds, 4),
+        }
+        for each in probe.levels
+    ]
+    return {
+        "brdffit": version("brdffit"),
+        "command": command,
+        "source": str(probe.surroundings.path),
+        "layout": probe.surroundings.layout,
+        "options": asdict(options),
+        "preset": asdict(probe.preset),
+        "curve": {
+            "name": probe.curve.name,
+            "lod": probe.curve.formula,
+            "roughness_is": "perceptual, alpha = roughness^2",
+        },
+        "orientation": {
+            "faces": "+X -X +Y -Y +Z -Z, +Y up, as OpenGL looks them up",
+            "centre_of_latlong": options.centre,
+            "rotated_degrees": options.rotate,
+            "mirrored": probe.preset.mirror or None,
+        },
+        "source_size": int(probe.source.shape[1]),
+        "method": options.method,
+        "error_is": "relative L1 of radiance against brute force on at most 64 texels a level",
+        "levels": levels,
+        "irradiance": {
+            "size": IRRADIANCE_SIZE,
+            "is": "irradiance over pi",
+            "error": round(probe.irradiance.error or 0.0, 6),
+            "harmonics": np.round(probe.nine, 7).tolist(),
+            "harmonics_error": round(probe.nine_error, 6),
+        },
+        "sun": asdict(probe.sun) if probe.sun else None,
+        "clamped_texels": probe.clamped,
+        "scale": probe.scale,
+        "notes": [*probe.notes, *([probe.preset.note] if probe.preset.note else [])],
+        "seconds": {name: round(value, 3) for name, value in probe.seconds.items()},
+        "files": files,
+        "specular": f"specular{suffix_of(probe.preset)}" if probe.preset.container != "exr" else "specular-0.exr",
+    }

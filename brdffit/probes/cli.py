@@ -1,0 +1,138 @@
+"""The commands of `brdffit probe`: they parse and call; heavy imports stand inside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+#: Presets, curves and formats by name, as the modules have them; a test holds them together.
+PRESET_NAMES = (
+    "plain", "bevy", "khronos", "filament", "three", "babylon", "unity", "unreal", "activision", "godot",
+)  # fmt: skip
+FORMAT_NAMES = ("rgba16f", "rgba32f", "rgb9e5", "r11g11b10f", "bc6h")
+METHOD_NAMES = ("tree", "brute", "table", "importance", "sh")
+LAYOUT_NAMES = ("latlong", "horizontal-cross", "vertical-cross", "strip", "column")
+_THREADS = click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
+
+
+class _Probe(click.Group):
+    """`brdffit probe ENV` filters; its other commands have names."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        if args and args[0] not in self.commands:
+            args = ["filter", *args]
+        return super().resolve_command(ctx, args)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        # Options before the environment belong to the command that filters.
+        if args and args[0].startswith("-") and args[0] not in ("-h", "--help"):
+            args = ["filter", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group(cls=_Probe)
+def probe() -> None:
+    """Filter environments into what engines load as reflection probes.
+
+    `brdffit probe ENV... -o OUT` is short for `brdffit probe filter ENV... -o OUT`.
+    """
+
+
+@probe.command("filter")
+@click.argument("sources", metavar="ENV...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out/probes"), help="Folder of folders.")
+@click.option("--for", "preset", type=click.Choice(PRESET_NAMES), default="plain", help="Engine that loads the files.")
+@click.option("--tolerance", type=float, default=0.01, help="Relative L1 error that each level may have.")
+@click.option("--size", type=int, show_default="as the preset", help="Texels along a face of level 0.")
+@click.option("--levels", type=int, show_default="as the preset", help="How many, level 0 counted.")
+@click.option("--curve", show_default="as the preset", help="Roughness of levels: a name, or r0,r1,... of each.")
+@click.option("--format", "texel_format", type=click.Choice(FORMAT_NAMES), show_default="as the preset")
+@click.option("--method", type=click.Choice(METHOD_NAMES), default="tree", help="How levels are filtered.")
+@click.option("--samples", type=click.IntRange(min=1), default=1024, help="Of --method importance.")
+@click.option("--order", type=click.IntRange(1, 64), default=11, help="Of --method sh.")
+@click.option("--table", default="ggx-quadratic-8", help="Of --method table: a shipped one or a file.")
+@click.option("--split", type=click.FloatRange(min=1.0), metavar="X", help="Take out what is X times the mean.")
+@click.option("--level0", type=click.Choice(["copy", "filter"]), default="copy", help="A mirror, or filtered too.")
+@click.option("--keep-narrow", is_flag=True, help="Do not widen lobes that are narrower than a texel.")
+@click.option(
+    "--fit", type=click.Choice(["texels", "lookup"]), default="texels", help="lookup: for trilinear look-ups."
+)
+@click.option("--rotate", type=float, default=0.0, metavar="DEG", help="About +Y, from +X towards -Z.")
+@click.option("--layout", type=click.Choice(LAYOUT_NAMES), show_default="guessed from the shape")
+@click.option("--centre", type=click.Choice(["-z", "+x", "+z", "-x"]), default="-z", help="Of a lat-long picture.")
+@click.option("--clamp", is_flag=True, help="Set negative values to 0 and infinite ones to the largest.")
+@click.option("--scale", is_flag=True, help="Scale radiance beyond the format down instead of clamping it.")
+@click.option("--no-picture", is_flag=True, help="Do not draw picture.png.")
+@click.option("--force", is_flag=True, help="Filter also what is up to date.")
+@_THREADS
+@click.pass_context
+def filter_(
+    context: click.Context, sources: tuple[Path, ...], output: Path, no_picture: bool, force: bool, threads: int | None,
+    **asked: Any,
+) -> None:  # fmt: skip
+    """Filter each ENV to a stated error: levels, irradiance, the table of the split sum, a manifest, a picture.
+
+    ENV is a lat-long picture, a cross, a strip, a KTX2 or DDS cube map, a folder of six faces, or a folder of any of
+    these. What fails is named, all others are done; the exit code is then 1.
+    """
+    from brdffit.probes.bake import ProbeOptions
+    from brdffit.probes.shelf import bake_all
+
+    options = ProbeOptions(picture=not no_picture, **asked)
+    failed = bake_all(sources, output, options, threads, force, click.echo)
+    for name, error in failed:
+        click.echo(f"Error: {name}: {error}", err=True)
+    if failed:
+        context.exit(1)
+
+
+@probe.command()
+@click.argument("source", metavar="FILE", type=click.Path(path_type=Path))
+def inspect(source: Path) -> None:
+    """Say what FILE holds: an environment, or a folder or file that a probe was written to."""
+    from brdffit.probes.shelf import describe
+
+    for line in describe(source):
+        click.echo(line)
+
+
+@probe.command()
+@click.argument("sources", metavar="ENV...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("report"), help="Folder of the report.")
+@click.option("--quick", is_flag=True, help="Fewer texels: figures wobble by a few percent.")
+@_THREADS
+def compare(sources: tuple[Path, ...], output: Path, quick: bool, threads: int | None) -> None:
+    """Hold all methods against brute force and the paper's tables, on each ENV, and write a page."""
+    from brdffit.probes.compare import compare_to_folder
+
+    click.echo(f"See {compare_to_folder(sources, output, quick, threads, click.echo)}")
+
+
+@probe.command()
+@click.option("--taps", type=click.IntRange(1, 64), default=8, help="Trilinear reads of each frame.")
+@click.option("--terms", type=click.Choice(["const", "quadratic", "quartic"]), default="const", help="Polynomials.")
+@click.option("--curve", default="activision", help="Roughness of seven levels, or irradiance.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), default=Path("table.json"), help="Gone on with if there."
+)
+@click.option("--starts", type=click.IntRange(min=1), default=48, help="Importance-sampled starts a level.")
+@click.option("--texels", type=click.IntRange(min=1), default=32, help="That a search looks at.")
+@click.option("--seed", type=click.IntRange(min=0), default=0)
+@click.option("--begin-with", multiple=True, metavar="TABLE", help="A table with fewer terms to start from besides.")
+@click.option("--paper", is_flag=True, help="The paper's own optimiser: one start, differences, golden sections. Slow.")
+def table(
+    taps: int, terms: str, curve: str, output: Path, starts: int, texels: int, seed: int, begin_with: tuple[str, ...],
+    paper: bool,
+) -> None:  # fmt: skip
+    """Optimise a table of the second pass of Manson and Sloan 2016, on one core; resumes level by level."""
+    from brdffit.probes.table_files import load_table, make_table
+    from brdffit.probes.table_fit import TableRequest
+
+    request = TableRequest(taps, terms, starts, texels, seed, paper)
+    command = f"brdffit probe table --taps {taps} --terms {terms} --curve {curve} --starts {starts}"
+    command += "".join(f" --begin-with {Path(each).stem}" for each in begin_with) + " --paper" * paper
+    made = make_table(output, request, curve, command, [load_table(each) for each in begin_with], click.echo)
+    mean = sum(made.errors.values()) / len(made.errors)
+    click.echo(f"{output}: mean error {mean:.4f} over {len(made.errors)} levels.")

@@ -1,0 +1,220 @@
+"""The levels of a probe by any of the methods, each with its measured error.
+
+The error of a level is the relative L1 of radiance, sum |a - b| / sum b, against brute force in float64 over the same
+source, on texels drawn from the level (all of a small one).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError
+from brdffit.probes.cubemap import directions, mean_radiance, resized
+from brdffit.probes.curves import Curve
+from brdffit.probes.direct import add_bright, filtered_exactly, packed_source, split_bright
+from brdffit.probes.harmonics import filtered_by_harmonics
+from brdffit.probes.importance import filtered_by_importance
+from brdffit.probes.lobe import widened
+from brdffit.probes.tables import BASE_SIZE, filtered_by_table
+from brdffit.probes.tree import Tree, tau_for
+
+METHODS = ("tree", "brute", "table", "importance", "sh")
+#: Texels of a level that are held against brute force.
+MEASURED = 64
+#: How often a level is filtered anew when it missed the tolerance.
+_TRIES = 4
+
+
+@dataclass(frozen=True)
+class LevelRequest:
+    """One level that is wanted.
+
+    Attributes:
+        level: its number.
+        n: texels along a face.
+        roughness: perceptual roughness that a shader looks up there.
+        alpha: of the lobe that is stored, not narrower than a texel; 0 for a copy of the source.
+    """
+
+    level: int
+    n: int
+    roughness: float
+    alpha: float
+
+    @property
+    def is_widened(self) -> bool:
+        """Whether the stored lobe is wider than the roughness says."""
+        return self.alpha > 1.0001 * self.roughness**2
+
+
+@dataclass(frozen=True)
+class FilteredLevel:
+    """A level that was filtered.
+
+    Attributes:
+        request: what was asked for.
+        radiance: (6, n, n, 3) float32.
+        seconds: processor time of filtering, all threads.
+        error: relative L1 against brute force on sampled texels; 0 for a copy; None if not measured.
+        bias: sum over the sampled texels against that of brute force, less one; None if not measured.
+        energy: mean radiance over that of the source, of the three channels' sum. Few texels sample even an exact level
+            by halves of a percent.
+        tau: threshold of the tree, if that is how it was made.
+    """
+
+    request: LevelRequest
+    radiance: NDArray
+    seconds: float
+    error: float | None
+    bias: float | None
+    energy: float
+    tau: float | None = None
+
+
+def level_requests(curve: Curve, size: int, copy_first: bool = True, keep_narrow: bool = False) -> list[LevelRequest]:
+    """The levels of a curve on a cube of ``size``: half the size each, never below 1.
+
+    Args:
+        curve: roughness of the levels.
+        size: texels along a face of level 0.
+        copy_first: level 0 is the source itself, a mirror.
+        keep_narrow: do not widen lobes that are narrower than a texel.
+    """
+    out = []
+    for level, alpha in enumerate(curve.alphas()):
+        n = max(size >> level, 1)
+        stored = 0.0 if level == 0 and copy_first else alpha if keep_narrow else min(widened(alpha, n), 1.0)
+        out.append(LevelRequest(level, n, float(np.sqrt(alpha)), stored))
+    return out
+
+
+def sampled_texels(n: int, count: int = MEASURED, seed: int = 0) -> NDArray:
+    """Flat indices of at most ``count`` texels of a level of n^2, no two the same."""
+    total = 6 * n * n
+    if total <= count:
+        return np.arange(total)
+    return np.sort(np.random.default_rng([seed, n]).choice(total, count, replace=False))
+
+
+def measured_error(
+    radiance: NDArray, alpha: float, source: NDArray, count: int = MEASURED, threads: int = 1
+) -> tuple[float, float]:
+    """Relative L1 of a level against brute force over a ``packed_source``, on sampled texels, and the relative bias."""
+    n = radiance.shape[1]
+    chosen = sampled_texels(n, count)
+    exact = filtered_exactly(source, directions(n).reshape(-1, 3)[chosen], alpha, threads)
+    total = float(np.abs(exact).sum())
+    difference = radiance.reshape(-1, 3)[chosen] - exact
+    scale = 1.0 / total if total > 0.0 else 1.0
+    return float(np.abs(difference).sum()) * scale, float(difference.sum()) * scale
+
+
+@dataclass(frozen=True)
+class FilterOptions:
+    """How levels are filtered.
+
+    Attributes:
+        method: one of METHODS.
+        tolerance: wanted relative L1 of each level (the tree).
+        split: bright texels above this times the mean are taken out and added exactly; None for none. (Not the tree,
+            which opens them anyway.)
+        samples: of importance sampling.
+        order: of harmonics.
+        tables: of each level, for ``table``.
+        threads: workers; no result depends on them.
+    """
+
+    method: str = "tree"
+    tolerance: float = 0.01
+    split: float | None = None
+    samples: int = 1024
+    order: int = 11
+    tables: Sequence[NDArray | None] = ()
+    threads: int = 1
+
+
+def filter_levels(
+    cube: NDArray, requests: Sequence[LevelRequest], options: FilterOptions, measure: bool = True,
+    listener: Callable[[FilteredLevel], None] | None = None,
+) -> list[FilteredLevel]:  # fmt: skip
+    """Filter a cube map (6, N, N, 3), N a power of two and at least the largest n, into the levels asked for.
+
+    Raises:
+        InputError: when the method cannot make a level.
+    """
+    source = packed_source(cube)
+    energy = float(mean_radiance(cube).sum())
+    make = _maker(cube, source, options)
+    out = []
+    for request in requests:
+        began = time.process_time()
+        tau = tau_for(options.tolerance) if options.method == "tree" else None
+        if request.alpha == 0.0:
+            radiance, error, bias, tau = resized(cube, request.n), 0.0, 0.0, None
+        else:
+            radiance, error, bias = make(request, tau), None, None
+        seconds = time.process_time() - began
+        for attempt in range(_TRIES if measure and request.alpha > 0.0 else 0):
+            error, bias = measured_error(radiance, request.alpha, source, threads=options.threads)
+            if tau is None or error <= options.tolerance or attempt == _TRIES - 1:
+                break
+            # The error goes as the root of tau.
+            tau *= 0.7 * (options.tolerance / error) ** 2
+            began = time.process_time()
+            radiance = make(request, tau)
+            seconds += time.process_time() - began
+        kept = float(mean_radiance(radiance).sum()) / energy if energy > 0.0 else 1.0
+        out.append(FilteredLevel(request, radiance.astype(np.float32), seconds, error, bias, kept, tau))
+        if listener:
+            listener(out[-1])
+    return out
+
+
+def _maker(cube: NDArray, source: NDArray, options: FilterOptions) -> Callable[[LevelRequest, float | None], NDArray]:
+    """The method as a function of a level and a threshold."""
+    method, threads = options.method, options.threads
+    if method == "tree":
+        tree = Tree(cube)
+        return lambda request, tau: tree.level(request.n, request.alpha, tau or 0.0, threads)
+    rest, points = split_bright(cube, options.split) if options.split else (cube, None)
+
+    def whole(level: NDArray, alpha: float) -> NDArray:
+        return level if points is None else add_bright(level, points, alpha, threads)
+
+    def brute(request: LevelRequest, tau: float | None) -> NDArray:
+        normals = directions(request.n).reshape(-1, 3)
+        return filtered_exactly(source, normals, request.alpha, threads).reshape(6, request.n, request.n, 3)
+
+    def importance(request: LevelRequest, tau: float | None) -> NDArray:
+        made = filtered_by_importance(rest, [(request.n, request.alpha)], options.samples, threads)[0]
+        return whole(made, request.alpha)
+
+    def harmonics(request: LevelRequest, tau: float | None) -> NDArray:
+        made = filtered_by_harmonics(rest, directions(request.n), request.alpha, options.order)
+        return whole(np.maximum(made, 0.0), request.alpha)
+
+    def table(request: LevelRequest, tau: float | None) -> NDArray:
+        tables: list[NDArray | None] = [None] * (request.level + 1)
+        if request.level >= len(options.tables) or options.tables[request.level] is None:
+            raise InputError(f"The table has no level {request.level}: it filters levels 1 to 6 of a cube of 128.")
+        if request.n != BASE_SIZE >> request.level:
+            raise InputError(f"Tables are for a cube of {BASE_SIZE}, found a level {request.level} of {request.n}.")
+        tables[-1] = options.tables[request.level]
+        made = filtered_by_table(resized(rest, BASE_SIZE), tables, threads)[-1]
+        assert made is not None
+        return whole(made, request.alpha)
+
+    makers = {"brute": brute, "importance": importance, "sh": harmonics, "table": table}
+    if method not in makers:
+        raise InputError(f"There is no method '{method}': known are {', '.join(METHODS)}.")
+    return makers[method]
+
+
+def with_radiance(level: FilteredLevel, radiance: NDArray) -> FilteredLevel:
+    """The same level holding other values."""
+    return replace(level, radiance=radiance)

@@ -1,0 +1,74 @@
+"""What engines load: container, format, roughness curve, size, levels, and the way they turn their look-ups."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from brdffit.errors import UnknownNameError
+
+
+@dataclass(frozen=True)
+class ProbePreset:
+    """How a probe is stored for an engine.
+
+    Attributes:
+        name, summary: as on the command line.
+        container: "ktx2", "ktx1", "dds" or "exr" (one lat-long picture a level).
+        texel_format: a name of ``containers.FORMATS``; "float" for EXR.
+        curve: a name of ``curves.CURVES``.
+        size: texels along a face of level 0.
+        levels: how many.
+        mirror: axis whose look-ups the engine turns round ("x", "z" or ""); the stored cube is mirrored to match.
+        note: what a user of the engine has to know.
+    """
+
+    name: str
+    summary: str
+    container: str
+    texel_format: str
+    curve: str
+    size: int
+    levels: int
+    mirror: str = ""
+    note: str = ""
+
+
+_ALL = (
+    ProbePreset("plain", "KTX2, no engine in mind", "ktx2", "rgb9e5", "quadratic", 256, 7),
+    ProbePreset(
+        "bevy", "Bevy's EnvironmentMapLight", "ktx2", "rgb9e5", "linear", 256, 9, "z",
+        "Bevy negates z when it looks up a cube map.",
+    ),
+    ProbePreset("khronos", "glTF Sample Viewer", "ktx2", "rgba16f", "linear", 256, 9),
+    ProbePreset(
+        "filament", "Filament's indirect light, harmonics in the file", "ktx1", "r11g11b10f", "quadratic", 256, 5, "x",
+        "Mirrored as cmgen does unless told --no-mirror.",
+    ),
+    ProbePreset(
+        "three", "three.js", "dds", "bc6h", "quadratic", 256, 7, "x",
+        "three.js filters a cube again unless texture.isPMREMTexture is set; its CubeTexture look-ups negate x.",
+    ),
+    ProbePreset(
+        "babylon", "Babylon.js", "dds", "rgba16f", "babylon", 256, 7, "",
+        "lodGenerationScale 0.8, as Babylon has it by itself.",
+    ),
+    ProbePreset("unity", "Unity", "dds", "bc6h", "unity", 256, 7),
+    ProbePreset("unreal", "Unreal", "dds", "rgba16f", "unreal", 256, 8),
+    ProbePreset("activision", "The curve of Manson and Sloan's tables", "ktx2", "rgb9e5", "activision", 128, 7),
+    ProbePreset(
+        "godot", "Godot and DCC tools: lat-long EXR pictures", "exr", "float", "linear", 256, 7, "",
+        "Godot filters by itself: use specular-0.exr as the sky, with --split and the sun as a light.",
+    ),
+)  # fmt: skip
+PRESETS = {preset.name: preset for preset in _ALL}
+
+
+def get_probe_preset(name: str) -> ProbePreset:
+    """The preset of a name.
+
+    Raises:
+        UnknownNameError: when there is none.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset of a probe", name, PRESETS)
+    return PRESETS[name]

@@ -1,0 +1,138 @@
+"""Many environments, one after another; and what a file or folder of ours holds, in lines."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from brdffit.errors import BrdffitError, InputError
+from brdffit.probes.bake import ProbeOptions, bake_probe, request_digest
+from brdffit.probes.containers import read_cube_file
+from brdffit.probes.cubemap import mean_radiance
+from brdffit.probes.reading import as_cube, is_folder_of_faces, read_surroundings
+from brdffit.probes.sun import find_sun
+
+_SUFFIXES = (".hdr", ".exr", ".ktx2", ".ktx", ".dds", ".png", ".jpg", ".tif", ".tiff")
+
+
+def find_environments(path: Path) -> list[Path]:
+    """The environments that a path stands for: itself, or those below a folder that is no cube of six faces.
+
+    Raises:
+        InputError: when it does not exist or a folder holds none.
+    """
+    if not path.exists():
+        raise InputError(f"'{path}' does not exist, expected an environment or a folder of them.")
+    if not path.is_dir() or is_folder_of_faces(path):
+        return [path]
+    found = []
+    for each in sorted(path.iterdir()):
+        if each.name.startswith("."):
+            continue
+        if each.is_dir():
+            found += [each] if is_folder_of_faces(each) else []
+        elif each.suffix.lower() in _SUFFIXES:
+            found.append(each)
+    if not found:
+        raise InputError(
+            f"There is no environment in '{path}': expected {', '.join(_SUFFIXES)} or folders of six faces."
+        )
+    return found
+
+
+def bake_all(
+    sources: Sequence[Path], output: Path, options: ProbeOptions, threads: int | None, force: bool,
+    tell: Callable[[str], None],
+) -> list[tuple[str, BrdffitError]]:  # fmt: skip
+    """Bake every environment to ``output``/name; returns what failed, by name. What is up to date is left."""
+    found = [each for source in sources for each in find_environments(source)]
+    failed: list[tuple[str, BrdffitError]] = []
+    taken: set[str] = set()
+    for path in found:
+        name = path.stem if not path.is_dir() else path.name
+        while name in taken:
+            name += "-2"
+        taken.add(name)
+        folder = output / name
+        try:
+            if not force and _is_up_to_date(folder, path, options):
+                tell(f"{folder}: up to date")
+                continue
+            _, manifest = bake_probe(path, folder, options, threads, f"brdffit probe {path} -o {output}")
+        except BrdffitError as error:
+            failed.append((str(path), error))
+            continue
+        for line in _report(folder, manifest):
+            tell(line)
+    if len(found) > 1:
+        tell(f"{len(found) - len(failed)} of {len(found)} environments done.")
+    return failed
+
+
+def _is_up_to_date(folder: Path, path: Path, options: ProbeOptions) -> bool:
+    try:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        whole = all((folder / name).exists() for name in manifest["files"])
+    except (OSError, ValueError, KeyError):
+        return False
+    return whole and manifest.get("digest") == request_digest(path, options)
+
+
+def _report(folder: Path, manifest: dict) -> list[str]:
+    lines = [f"{folder}"]
+    for level in manifest["levels"]:
+        error = "copied" if level["error"] == 0.0 else f"error {level['error']:.2%}, bias {level['bias']:+.2%}"
+        size = f"{level['size']}x{level['size']}"
+        head = f"  level {level['level']}  {size:>9}  roughness {level['roughness']:.3f}"
+        lines.append(f"{head}  {error}, energy {level['energy']:.2%}")
+    irradiance = manifest["irradiance"]
+    lines.append(
+        f"  irradiance: cube errs by {irradiance['error']:.2%}, nine harmonics by {irradiance['harmonics_error']:.2%}"
+    )
+    if manifest["sun"]:
+        sun = manifest["sun"]
+        direction = ", ".join(f"{value:.3f}" for value in sun["direction"])
+        lines.append(
+            f"  sun towards ({direction}), radius {sun['radius_degrees']} degrees, {sun['share']:.0%} of the energy"
+        )
+    lines += [f"  {note}" for note in manifest["notes"]]
+    lines.append("  " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in manifest["seconds"].items()))
+    return lines
+
+
+def describe(path: Path) -> list[str]:
+    """What a file or folder holds, a line each.
+
+    Raises:
+        InputError: when it can be read as neither.
+    """
+    if path.is_dir() and (path / "manifest.json").exists():
+        manifest = json.loads((path / "manifest.json").read_text(encoding="utf-8"))
+        return [f"A probe of {manifest['source']} for {manifest['preset']['name']}.", *_report(path, manifest)]
+    if path.suffix.lower() in (".ktx2", ".ktx", ".dds"):
+        file = read_cube_file(path)
+        lines = [f"{path}: a cube map in {file.texel_format}, {len(file.levels)} levels"]
+        for level, cube in enumerate(file.levels):
+            red, green, blue = mean_radiance(cube)
+            lines.append(
+                f"  level {level}  {cube.shape[1]}x{cube.shape[1]}  mean {red:.4g} {green:.4g} {blue:.4g}, "
+                f"largest {cube.max():.4g}"
+            )
+        return lines + [f"  {key}: {' '.join(value.split())}" for key, value in file.metadata.items()]
+    surroundings = read_surroundings(path, clamp=True)
+    cube = as_cube(surroundings, min(surroundings.natural_size, 256))
+    luminance = cube @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    mean = float(mean_radiance(luminance[..., None])[0])
+    lines = [f"{path}", *(f"  {note}" for note in surroundings.notes)]
+    lines.append(
+        f"  mean luminance {mean:.4g}, largest {luminance.max():.4g} ({luminance.max() / max(mean, 1e-30):.0f} x)"
+    )
+    sun = find_sun(cube)
+    if sun:
+        lines.append(
+            f"  sun towards {sun.direction}, radius {sun.radius_degrees} degrees, {sun.share:.0%} of the energy"
+        )
+    return lines

@@ -1,0 +1,99 @@
+"""The files of a probe: specular levels, irradiance, harmonics, and the table of the split sum."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.files.image_io import write_mip_exr
+from brdffit.probes.containers import write_cube
+from brdffit.probes.cubemap import look_up
+from brdffit.probes.split_sum import dfg_table
+
+if TYPE_CHECKING:
+    from brdffit.probes.bake import Probe
+    from brdffit.probes.presets import ProbePreset
+
+_SUFFIXES = {"ktx2": ".ktx2", "ktx1": ".ktx", "dds": ".dds", "exr": ".exr"}
+
+
+def suffix_of(preset: ProbePreset) -> str:
+    """Suffix of the files of a preset's container."""
+    return _SUFFIXES[preset.container]
+
+
+def write_probe(probe: Probe, folder: Path) -> list[str]:
+    """Write all files but the manifest and the picture; returns their names."""
+    preset = probe.preset
+    specular = [probe.stored(level.radiance) for level in probe.levels]
+    irradiance = probe.stored(probe.irradiance.radiance)
+    # Harmonics of the stored cube: a mirrored axis turns the sign of what is odd in it.
+    odd = {"": [], "x": [3, 4, 7], "z": [2, 5, 7]}[preset.mirror]
+    nine = probe.nine.copy()
+    nine[odd] *= -1.0
+    files = []
+    if preset.container == "exr":
+        for level, cube in enumerate(specular):
+            files.append(f"specular-{level}.exr")
+            _write_latlong(folder / files[-1], cube)
+        files.append("irradiance.exr")
+        _write_latlong(folder / files[-1], irradiance)
+    else:
+        suffix = suffix_of(preset)
+        for name, levels in (("specular", specular), ("irradiance", [irradiance])):
+            files.append(name + suffix)
+            text = "\n".join(" ".join(f"{value:.7g}" for value in row) for row in nine) + "\n"
+            pairs = {"KTXwriter": "brdffit", "sh": text}
+            write_cube(folder / files[-1], preset.container, levels, preset.texel_format, pairs)
+    (folder / "harmonics.json").write_text(
+        json.dumps(
+            {
+                "is": "irradiance over pi: the sum of coefficient and basis, the clamped cosine multiplied in",
+                "basis": "0.282095, 0.488603 (y, z, x), 1.092548 (xy, yz), 0.315392 (3z^2-1), "
+                "1.092548 xz, 0.546274 (x^2-y^2)",
+                "coefficients": np.round(nine, 7).tolist(),
+                "relative_l1_error": round(probe.nine_error, 6),
+            },
+            indent=1,
+        )
+        + "\n",
+        encoding="utf-8",
+    )
+    _write_chain(folder / "dfg.exr", _dfg(), ("R", "G"))
+    return [*files, "harmonics.json", "dfg.exr"]
+
+
+@lru_cache(maxsize=1)
+def _dfg() -> NDArray:
+    return dfg_table(32)
+
+
+def latlong_of(cube: NDArray, height: int) -> NDArray:
+    """(height, 2 height, 3) lat-long picture of a cube map, its middle column along -Z; averaged over 2x2 points."""
+    fine = 2 * height
+    polar = (np.arange(fine) + 0.5) / fine * np.pi
+    azimuth = ((np.arange(2 * fine) + 0.5) / fine - 1.0) * np.pi
+    level = np.sin(polar)[:, None]
+    x, z = level * np.sin(azimuth), -level * np.cos(azimuth)
+    at = np.stack([x, np.broadcast_to(np.cos(polar)[:, None], x.shape), z], axis=-1)
+    return look_up(cube, at).reshape(height, 2, 2 * height, 2, 3).mean(axis=(1, 3)).astype(np.float32)
+
+
+def _write_latlong(path: Path, cube: NDArray) -> None:
+    _write_chain(path, latlong_of(cube, max(2 * cube.shape[1], 8)), ("R", "G", "B"))
+
+
+def _write_chain(path: Path, picture: NDArray, names: tuple[str, ...]) -> None:
+    """An EXR file with the coarser levels that its format asks for, plain means."""
+    levels = [picture]
+    while levels[-1].shape[:2] != (1, 1):
+        height, width = levels[-1].shape[:2]
+        rows, columns = max(height // 2, 1), max(width // 2, 1)
+        blocks = levels[-1].reshape(rows, height // rows, columns, width // columns, -1)
+        levels.append(blocks.mean(axis=(1, 3)).astype(np.float32))
+    write_mip_exr(path, levels, names)
