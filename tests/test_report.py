@@ -95,6 +95,34 @@ def test_nothing_is_first_where_all_is_wrong(made):
     assert not any(row.cells[3].best for row in summary.summary(worst))
 
 
+def test_views_are_counted_by_hand(made):
+    """Over all stills of two sets: who is first how often, where each is worst, and how far energy strays."""
+    comparison = msgspec.json.decode(msgspec.json.encode(made[0]), type=records.Comparison)
+    first = comparison.sets[0].views[0]
+    by_name = {shot.method: shot.figures for shot in first.shots}
+    for figures in by_name.values():
+        figures.flip_ldr, figures.ssim, figures.energy_kept = 0.2, 0.5, 1.0
+    by_name["naive"].snr_db, by_name["naive"].flip_ldr, by_name["naive"].energy_kept = 90.0, 0.1, 4.0
+    by_name["bfgs"].snr_db = -7.0
+    rows = {row.method: row for row in summary.overall(comparison)}
+    stills = sum(view.group != "motion" for result in comparison.sets for view in result.views)
+    assert rows["bfgs"].views == rows["naive"].views == stills > rows["height"].views
+    assert rows["bfgs"].worst == (f"alpha, {first.key}", -7.0)
+    assert rows["naive"].energy[1] == 4.0
+    assert not rows["height"].best
+    # Everybody is first in SSIM there, and naive alone in SNR and FLIP.
+    comparison.sets = comparison.sets[:1]
+    comparison.sets[0].views = [first]
+    rows = {row.method: row for row in summary.overall(comparison)}
+    assert rows["bfgs"].firsts == (0, 0, 1) and rows["naive"].firsts == (1, 1, 1)
+    assert rows["naive"].best == {"snr_db", "flip", "ssim", "snr_firsts", "flip_firsts", "ssim_firsts"}
+    assert rows["bfgs"].best == {"ssim", "ssim_firsts"}
+
+
+def test_only_lights_that_there_are_have_columns(made):
+    assert [group for group, _ in summary.groups(made[0])] == ["light and viewer pairs", "small lights", "environment"]
+
+
 def test_differences_are_those_of_each_set_and_lighting(made):
     found = summary.differences(made[0], "naive")
     expected = [PICTURE_SNR[name, "bfgs"][1] - PICTURE_SNR[name, "naive"][1] for name in ("alpha", "beta </script>")]

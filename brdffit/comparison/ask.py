@@ -14,7 +14,7 @@ from brdffit.options import BakeOptions, known_options, make_options, refuse_unk
 from brdffit.render.lights import Lights
 from brdffit.render.terms import Terms
 
-SMALL_LIGHTS, ENVIRONMENT = LIGHTINGS = "small lights", "environment"
+SMALL_LIGHTS, LAMPS, ENVIRONMENT = LIGHTINGS = "small lights", "lamps", "environment"
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brdffit.report.records import MOST_DB, RECORDS, Comparison
-from brdffit.report.summary import DISTANCES, GROUPS, Cell, summary
+from brdffit.report.summary import DISTANCES, groups, overall, summary
 
 if TYPE_CHECKING:
     from brdffit.comparison.ask import Ask
@@ -102,23 +102,16 @@ def redraw(records: Path_, folder: Path_ | None = None) -> Written:
 
 
 def print_summary(written: Written) -> None:
-    """SNR of every method at near, mid and far; the first of each column marked by a star."""
+    """Every method over all views, then its SNR at near, mid and far; the first of each column marked by a star."""
     console = Console(highlight=False, markup=False, emoji=False)
     if not console.is_terminal:
         console.width = _PIPED_WIDTH
     comparison = written.comparison
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("method\n")
-    for group, _ in GROUPS:
-        for i, distance in enumerate(DISTANCES):
-            table.add_column(f"{group if i == 0 else ''}\n{distance}", justify="right")
-    table.add_column("\nseconds", justify="right")
-    for row in summary(comparison):
-        seconds = "-" if row.seconds is None else f"{row.seconds:.2f}"
-        table.add_row(row.method, *map(_cell, row.cells), seconds)
     sets = ", ".join(result.name for result in comparison.sets)
-    console.print(f"SNR in dB, mean over {sets} (* first of its column)")
-    console.print(table)
+    console.print(f"All still views of {sets} (* first of its column)", soft_wrap=True)
+    console.print(_overall_table(comparison))
+    console.print("SNR in dB by distance and light, mean over the sets")
+    console.print(_distance_table(comparison))
     for result in comparison.sets:
         for each in result.skipped:
             console.print(f"- {result.name}: no {each.method}. {each.reason}", soft_wrap=True)
@@ -128,6 +121,39 @@ def print_summary(written: Written) -> None:
             phases[name] = phases.get(name, 0.0) + value
     console.print(", ".join(f"{name} {value:.1f} s" for name, value in phases.items()), soft_wrap=True)
     console.print(f"{written.page} (figures: {written.page.with_name(RECORDS)})", soft_wrap=True)
+
+
+def _overall_table(comparison: Comparison) -> Table:
+    """What an eye and a light meter say over all views, in how many of them a method is first, and its worst."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("method\n")
+    for title in ("mean\nSNR", "\nFLIP", "\nSSIM", "energy\nkept", "first in\nSNR", "\nFLIP", "\nSSIM", "of\nviews"):
+        table.add_column(title, justify="right")
+    table.add_column("worst view\n")
+    table.add_column("\nseconds", justify="right")
+    for row in overall(comparison):
+        cells = [
+            ("snr_db", _decibels(row.snr_db)), ("flip", _figure(row.flip)), ("ssim", _figure(row.ssim)),
+            ("", "-" if row.energy is None else f"{row.energy[0]:.2f}-{row.energy[1]:.2f}"),
+            ("snr_firsts", str(row.firsts[0])), ("flip_firsts", str(row.firsts[1])),
+            ("ssim_firsts", str(row.firsts[2])), ("", str(row.views)),
+        ]  # fmt: skip
+        worst = "-" if row.worst is None else f"{row.worst[0]} ({_decibels(row.worst[1])})"
+        seconds = "-" if row.seconds is None else f"{row.seconds:.2f}"
+        table.add_row(row.method, *(_marked(text, name in row.best) for name, text in cells), worst, seconds)
+    return table
+
+
+def _distance_table(comparison: Comparison) -> Table:
+    """SNR of every method at near, mid and far under each light."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("method\n")
+    for group, _ in groups(comparison):
+        for i, distance in enumerate(DISTANCES):
+            table.add_column(f"{group if i == 0 else ''}\n{distance}", justify="right")
+    for row in summary(comparison):
+        table.add_row(row.method, *(_marked(_decibels(cell.value), cell.best) for cell in row.cells))
+    return table
 
 
 def draw_landscape(
@@ -154,9 +180,12 @@ def draw_landscape(
     console.print(f"{len(found.path) - 1} steps, {first} to {last} dB, {time.perf_counter() - began:.1f} s: {output}")
 
 
-def _cell(cell: Cell) -> Text:
-    text = _decibels(cell.value)
-    return Text(f"*{text}" if cell.best else text, style="bold magenta" if cell.best else "")
+def _marked(text: str, best: bool) -> Text:
+    return Text(f"*{text}" if best else text, style="bold magenta" if best else "")
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
 
 
 def _decibels(value: float | None) -> str:

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.appearance import Appearance
-from brdffit.comparison.ask import ENVIRONMENT, LIGHTINGS, SMALL_LIGHTS
+from brdffit.comparison.ask import ENVIRONMENT, LAMPS, LIGHTINGS, SMALL_LIGHTS
+from brdffit.render import lights as light_sets
 from brdffit.render import metrics, scenes
 from brdffit.render.environment import Environment
 from brdffit.render.lights import Lights
-from brdffit.render.pictures import render_appearance
+from brdffit.render.pictures import render_appearance_halves
 from brdffit.render.reference import Reference, render_halves
 from brdffit.render.scenes import Scene
 from brdffit.render.terms import Terms
@@ -40,11 +41,12 @@ class Studio:
     """What is the same for all pictures of a comparison.
 
     Attributes:
-        pixels: side of a picture; two thirds of it under the environment.
+        pixels: side of a picture; two thirds of it under lamps and the environment.
         frames: of the slow rotation.
         samples: preset of the reference ("draft", "standard", "fine"), see ``render_reference``.
         environment: around the surface.
         lights: the small lights.
+        lamps: lights that have a size.
         lit: what lights the pictures, in turn; stills of movement and slant are lit by the first.
         terms: of the BRDF that are simulated.
         reach: first and last level that are seen; None: all.
@@ -57,6 +59,7 @@ class Studio:
     samples: str
     environment: Environment
     lights: Lights
+    lamps: Lights = field(default_factory=light_sets.lamps)
     lit: tuple[str, ...] = LIGHTINGS
     terms: Terms = field(default_factory=Terms)
     reach: tuple[int, int] | None = None
@@ -66,8 +69,8 @@ class Studio:
     def reference(self, base: Svbrdf, scene: Scene, lit: str) -> Reference:
         """The reference picture with its halves.
 
-        Under an environment it takes as many samples as a draft has: they cost ten times as much there, and what noise
-        they leave is kept out of the squared errors by the halves.
+        Under an environment or lamps it takes as many samples as a draft has: they cost ten times as much there, and
+        what noise they leave is kept out of the squared errors by the halves.
         """
         return render_halves(
             base, scene, self._lights(lit), environment=self._environment(lit), terms=self.terms,
@@ -76,8 +79,8 @@ class Studio:
         )  # fmt: skip
 
     def method(self, levels: Sequence[Svbrdf] | Appearance, scene: Scene, lit: str) -> NDArray:
-        """(h, w, 3) linear radiance."""
-        return render_appearance(
+        """Two independent estimates (2, h, w, 3) of linear radiance; their mean is the picture."""
+        return render_appearance_halves(
             levels,
             scene,
             self._lights(lit),
@@ -87,7 +90,7 @@ class Studio:
         )
 
     def _lights(self, lit: str) -> Lights | None:
-        return self.lights if lit == SMALL_LIGHTS else None
+        return {SMALL_LIGHTS: self.lights, LAMPS: self.lamps}.get(lit)
 
     def _environment(self, lit: str) -> Environment | None:
         return self.environment if lit == ENVIRONMENT else None
@@ -130,7 +133,7 @@ def all_views(
     levels = distances_of(base.size, depth, studio.reach)
     near, main = levels["near"], studio.lit[0]
     pixels = (studio.pixels, studio.pixels)
-    small = (studio.pixels * 2 // 3,) * 2  # a pixel under an environment costs ten times as much
+    small = (studio.pixels * 2 // 3,) * 2  # a pixel under light that has a size costs ten times as much
     first: dict[str, NDArray] = {}  # what half a pixel is held against
     for lit in studio.lit:
         for distance, level in levels.items():
@@ -164,7 +167,10 @@ def all_views(
 
 
 def figures_of(picture: NDArray, reference: Reference, exposure: float) -> Figures:
-    """``metrics.compare_pictures`` as a record, held to numbers that JSON knows; what is none counts as the worst."""
+    """``metrics.compare_pictures`` as a record, held to numbers that JSON knows; what is none counts as the worst.
+
+    ``picture``: (2, h, w, 3), its halves.
+    """
     found = metrics.compare_pictures(picture, reference.radiance, exposure, reference.halves)
     return Figures(
         snr_db=capped(found.snr_db),
@@ -182,14 +188,17 @@ def _held(value: float, most: float) -> float:
 
 @dataclass(frozen=True)
 class _Taken:
-    """One scene under one lighting: the reference, and linear pictures by name of the method."""
+    """One scene under one lighting: the reference, and halves (2, h, w, 3) of pictures by name of the method."""
 
     reference: Reference
     methods: dict[str, NDArray]
 
     def pictures(self) -> dict[str, NDArray]:
         """Linear pictures by name, the reference first."""
-        return {"reference": self.reference.radiance, **self.methods}
+        return {
+            "reference": self.reference.radiance,
+            **{name: each.mean(axis=0) for name, each in self.methods.items()},
+        }
 
 
 def _take(base: Svbrdf, pyramids: Drawn, scene: Scene, lit: str, studio: Studio) -> _Taken:

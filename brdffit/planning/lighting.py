@@ -117,10 +117,12 @@ def _surroundings(environment: str) -> tuple[NDArray, float]:
 
 
 def lights_of(scene: SceneFile) -> Lights | None:
-    """The lights of a scene as the renderer takes them (sizes are left out), or None."""
+    """The lights of a scene as the renderer takes them, with their sizes, or None."""
     if not scene.lights:
         return None
-    return Lights(np.array([each.direction for each in scene.lights]), np.array([each.rgb for each in scene.lights]))
+    radius = np.radians([0.5 * each.size for each in scene.lights])
+    direction, irradiance = (np.array([getattr(each, name) for each in scene.lights]) for name in ("direction", "rgb"))
+    return Lights(direction, irradiance, radius)
 
 
 def environment_of(scene: SceneFile) -> Environment | None:

@@ -80,7 +80,8 @@ def relative_l2(picture: NDArray, reference: NDArray, epsilon: float = EPSILON, 
     """
     count = max(1, np.size(reference))
     error, _ = _squares(picture, reference) if halves is None else _squares_of_halves(picture, halves)
-    power = float(np.square(picture, dtype=np.float64).sum())
+    whole = picture if np.ndim(picture) == np.ndim(reference) else np.mean(picture, axis=0)
+    power = float(np.square(whole, dtype=np.float64).sum())
     return max(error, 0.0) / count / (power / count + epsilon)
 
 
@@ -141,20 +142,23 @@ def compare_pictures(
     """All figures of one picture.
 
     Args:
-        picture, reference: (h, w, 3) linear.
+        picture: (h, w, 3) linear; with ``halves`` also (2, h, w, 3), two independent estimates that it is the mean of.
+        reference: (h, w, 3) linear.
         exposure: of the displayed pictures, by default that of the reference.
-        halves: (2, h, w, 3), independent estimates that the reference is the mean of: its noise is then left out of
-            the squared errors. (What is perceived of it stays in FLIP and SSIM.)
+        halves: (2, h, w, 3), independent estimates that the reference is the mean of: its noise, and that of a picture
+            that is given by halves, is then left out of the squared errors. (What is perceived of it stays in FLIP and
+            SSIM.)
     """
     exposure = exposure_of(reference) if exposure is None else exposure
-    shown, shown_reference = tone_map(picture, exposure), tone_map(reference, exposure)
+    whole = picture if picture.ndim == reference.ndim else picture.mean(axis=0)
+    shown, shown_reference = tone_map(whole, exposure), tone_map(reference, exposure)
     return PictureFigures(
-        snr_db=snr_db(picture, reference) if halves is None else snr_db_of_halves(picture, halves),
+        snr_db=snr_db(whole, reference) if halves is None else snr_db_of_halves(picture, halves),
         relative_l2=relative_l2(picture, reference, halves=halves),
-        flip_hdr=flip_hdr(picture, reference),
+        flip_hdr=flip_hdr(whole, reference),
         flip_ldr=flip_ldr(shown, shown_reference),
         ssim=ssim(shown, shown_reference),
-        energy_kept=energy_kept(picture, reference),
+        energy_kept=energy_kept(whole, reference),
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from brdffit.report import plots
 from brdffit.report.records import KEPT_SUFFIX, MOST_ANISOTROPY, MOST_DB, Comparison, SetResult, Shot, View
-from brdffit.report.summary import DISTANCES, GROUPS, fit_name, method_names, summary
+from brdffit.report.summary import DISTANCES, fit_name, groups, method_names, overall, summary
 
 
 def render_page(comparison: Comparison, pictures: Mapping[str, NDArray]) -> str:
@@ -33,12 +33,12 @@ def render_page(comparison: Comparison, pictures: Mapping[str, NDArray]) -> str:
         comparison=comparison,
         fit=fit,
         colours=colours,
-        groups=[group for group, _ in GROUPS],
+        groups=[group for group, _ in groups(comparison)],
         distances=DISTANCES,
         rows=rows,
+        overall=overall(comparison),
+        views=sum(view.group != "motion" for result in comparison.sets for view in result.views),
         summaries={info.name: info.summary for info in comparison.methods},
-        firsts=sum(cell.best for row in rows if row.method == fit for cell in row.cells),
-        columns=len(GROUPS) * len(DISTANCES),
         histograms=plots.difference_histograms(comparison),
         times=plots.time_and_gain(rows, colours, fit),
         sets=[_set(result, colours, fit) for result in comparison.sets],

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from brdffit.report.records import MOST_DB, Comparison, Figures, SetResult, View
+from brdffit.report.records import KEPT_SUFFIX, MOST_DB, Comparison, Figures, SetResult, View
 
 #: What the summary's columns stand under, and the lighting of its pictures (None: pairs of light and viewer).
 GROUPS: tuple[tuple[str, str | None], ...] = (
     ("light and viewer pairs", None),
     ("small lights", "small lights"),
+    ("lamps", "lamps"),
     ("environment", "environment"),
 )
 DISTANCES = ("near", "mid", "far")
@@ -25,7 +26,7 @@ class Cell(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One method: its cells in the order of ``columns``, mean seconds of a bake, mean half-angle SNR over naive."""
+    """One method: cells in the order of ``groups``, near to far in each; seconds of a bake; gain over averaged maps."""
 
     method: str
     cells: list[Cell]
@@ -33,18 +34,107 @@ class Row(NamedTuple):
     gain: float | None
 
 
-def columns() -> list[tuple[str, str]]:
-    """(group, distance) of the summary's columns."""
-    return [(group, distance) for group, _ in GROUPS for distance in DISTANCES]
+class Overall(NamedTuple):
+    """One method over all still views, means but where it says otherwise.
+
+    Attributes:
+        method: its name.
+        views: how many views it is in.
+        snr_db, flip, ssim: means.
+        energy: least and most of what is kept of the reference's radiance.
+        firsts: in how many views it is first in SNR, FLIP and SSIM; ties count for all.
+        worst: the view with the least SNR, as "set, view", and that SNR in dB.
+        seconds: of a bake.
+        best: which of "snr_db", "flip" and "ssim" it is first in, and "snr_firsts", "flip_firsts", "ssim_firsts".
+    """
+
+    method: str
+    views: int
+    snr_db: float | None
+    flip: float | None
+    ssim: float | None
+    energy: tuple[float, float] | None
+    firsts: tuple[int, int, int]
+    worst: tuple[str, float] | None
+    seconds: float | None
+    best: frozenset[str]
+
+
+#: Figures in which methods are ranked, view by view: record's field, and 1 where more is better.
+RANKED = (("snr_db", 1), ("flip_ldr", -1), ("ssim", 1))
+
+
+def overall(comparison: Comparison) -> list[Overall]:
+    """Every method over all still views of all sets, in the order of the methods; see ``Overall``."""
+    names = method_names(comparison)
+    views = [(result, view) for result in comparison.sets for view in result.views if _shots(view)]
+    firsts = {name: [0, 0, 0] for name in names}
+    for _, view in views:
+        for i, (field, sign) in enumerate(RANKED):
+            values = {name: sign * getattr(figures, field) for name, figures in _shots(view).items()}
+            for name, value in values.items():
+                firsts[name][i] += value == max(values.values())
+    rows = []
+    for name in names:
+        seen = [(result, view, _shots(view)[name]) for result, view in views if name in _shots(view)]
+        worst = min(seen, key=lambda each: each[2].snr_db, default=None)
+        energy = [figures.energy_kept for _, _, figures in seen]
+        rows.append(
+            Overall(
+                method=name,
+                views=len(seen),
+                snr_db=_mean([figures.snr_db for _, _, figures in seen]),
+                flip=_mean([figures.flip_ldr for _, _, figures in seen]),
+                ssim=_mean([figures.ssim for _, _, figures in seen]),
+                energy=(min(energy), max(energy)) if energy else None,
+                firsts=(firsts[name][0], firsts[name][1], firsts[name][2]),
+                worst=(f"{worst[0].name}, {worst[1].key}", worst[2].snr_db) if worst else None,
+                seconds=_mean(list(_seconds(comparison, name))),
+                best=frozenset(),
+            )
+        )
+    return _marked(rows, len(views))
+
+
+def _shots(view: View) -> dict[str, Figures]:
+    """Figures by method of a still view; the fit with level 0 as authored is no method of its own."""
+    return {
+        shot.method: shot.figures
+        for shot in view.shots
+        if shot.figures is not None and not shot.method.endswith(KEPT_SUFFIX)
+    }
+
+
+def _marked(rows: list[Overall], views: int) -> list[Overall]:
+    """The same, with what each is first in among those that are in every view."""
+    whole = [row for row in rows if row.views == views and views]
+    best: dict[str, set[str]] = {row.method: set() for row in rows}
+    for name, sign in (("snr_db", 1), ("flip", -1), ("ssim", 1)):
+        values = {row.method: sign * getattr(row, name) for row in whole}
+        for method, value in values.items():
+            if value == max(values.values()):
+                best[method].add(name)
+    for i, name in enumerate(("snr_firsts", "flip_firsts", "ssim_firsts")):
+        for row in whole:
+            if row.firsts[i] == max(each.firsts[i] for each in whole):
+                best[row.method].add(name)
+    return [row._replace(best=frozenset(best[row.method])) for row in rows]
+
+
+def groups(comparison: Comparison) -> list[tuple[str, str | None]]:
+    """Those of ``GROUPS`` that the comparison has pictures of, and the pairs."""
+    seen = {view.lighting for result in comparison.sets for view in result.views}
+    return [(group, lit) for group, lit in GROUPS if lit is None or lit in seen]
 
 
 def summary(comparison: Comparison) -> list[Row]:
     """SNR in dB of every method at near, mid and far, means over sets, in the order of the methods."""
     table = {
-        name: [_values(comparison, name, lit, distance) for _, lit in GROUPS for distance in DISTANCES]
+        name: [_values(comparison, name, lit, distance) for _, lit in groups(comparison) for distance in DISTANCES]
         for name in method_names(comparison)
     }
-    best = [_best({name: values[i] for name, values in table.items()}, comparison) for i in range(len(columns()))]
+    columns = next(iter(table.values()), [])
+    best = [_best({name: values[i] for name, values in table.items()}, comparison) for i in range(len(columns))]
     rows = []
     for name, values in table.items():
         cells = [Cell(_mean(each), len(each), name in best[i]) for i, each in enumerate(values)]
@@ -76,7 +166,7 @@ def differences(comparison: Comparison, other: str) -> dict[str, list[float]]:
     fit = fit_name(comparison)
     found: dict[str, list[float]] = {distance: [] for distance in DISTANCES}
     for result in comparison.sets:
-        for _, lit in GROUPS[1:]:
+        for _, lit in groups(comparison)[1:]:
             for distance in DISTANCES:
                 ours, theirs = (picture_snr(result, name, lit or "", distance) for name in (fit, other))
                 if ours is not None and theirs is not None:
