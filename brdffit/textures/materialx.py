@@ -161,6 +161,7 @@ class _Reader:
         self.set, self.graph, self.shader = texture_set, graph, shader
         self.path, self.kind = graph.path, shader.getCategory()
         self.found: dict[str, Any] = {}
+        self.coat_is_specular = False
 
     def read(self, displacement: Any) -> None:
         for role, names in _SHADERS[self.kind].items():
@@ -209,6 +210,7 @@ class _Reader:
             return
         coat = self.evaluated("coat", self.shader, "coat")
         if isinstance(coat, Constant) and coat.value.any():
+            self.coat_is_specular = True
             self.found["specular_level"] = coat
             self.found["f0"] = self.evaluated("f0", self.shader, "coat_IOR")
             self.found["specular_color"] = self.evaluated("specular_color", self.shader, "coat_color")
@@ -310,6 +312,8 @@ class _Reader:
         """Layers that the shader has and that are not read, in one sentence."""
         left = []
         for name in _LAYERS[self.kind]:
+            if name == "coat" and self.coat_is_specular:
+                continue
             try:
                 value = self.graph.of_input(self.shader, name) if self.shader.getInput(name) is not None else None
             except NotEvaluated:

@@ -1,11 +1,14 @@
-"""What the maps of a set say of each other: which way a normal map's Y goes, and the scale of a height map.
+"""What the maps of a set say of each other: which way a normal map's Y goes, and the sign and scale of a height map.
 
-The height map tells it by agreement. Without one the slopes themselves do: those of a surface have no curl,
-dm_x/dy = dm_y/dx, and flipping y turns this correlation negative.
+Evidence for the Y is weighed. A name that says it, or a file format that defines it, counts 1; a guess by a whole set's
+names counts 0.5. The map's own slopes count by a correlation: those of a surface have no curl, dm_x/dy = dm_y/dx, and
+flipping y turns it negative. A height map counts by the correlation of its gradient with the slopes, in y, relative to
+that in x: where x disagrees as well, the height is inverted (white is deep) and says nothing against the normals.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,61 +21,119 @@ if TYPE_CHECKING:
 
 #: Agreement (a correlation) from which the evidence for a normal's Y is believed.
 DECISIVE = 0.2
+#: What a guess by the names of a whole set counts, and a height of which x says nothing, over its correlation.
+_GUESS, _HALF_BLIND = 0.5, 0.5
 #: Side of the crop on which this is measured, in texels.
 _CROP = 1024
 #: Correlation of slopes with a height's gradient from which the height's scale is taken from them.
 _SCALE_AGREEMENT = 0.3
+_SAID = {"gl": "OpenGL (+Y)", "dx": "DirectX (-Y)"}
+_WHY = {
+    "name": "its name says so", "convention": "the names of its set are those of such maps",
+    "height": "its slopes agree with the height map", "slopes": "its slopes then have the least curl",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One piece of evidence for the normal's Y: "gl" or "dx", its strength in [0, 1], and where it comes from."""
+
+    normal_y: str
+    strength: float
+    source: str
 
 
 def settle_normal_y(texture_set: TextureSet, normal_y: str | None) -> None:
-    """Decide the normal's Y where no name tells it: by the height map, by the slopes' curl, or assume OpenGL."""
+    """Decide the normal's Y: as it is given, as the file defines it, or by the strongest evidence; OpenGL without any.
+
+    What a name or a file says outright is not measured here, for that reads the map: ``contradiction`` tells when the
+    map is decoded.
+    """
     if normal_y is not None:
         texture_set.normal_y, texture_set.normal_y_source = normal_y, "given"
         return
-    if texture_set.normal_y_source != "assumed":
+    guessed = texture_set.normal_y_source == "convention" and texture_set.entry is None
+    if texture_set.normal_y_source != "assumed" and not guessed:
         return
     file = texture_set.maps["normal"].path.name
-    agreement, evidence = normal_y_agreement(texture_set)
-    if abs(agreement) >= DECISIVE:
-        texture_set.normal_y, texture_set.normal_y_source = ("gl" if agreement > 0.0 else "dx"), evidence
-        said = "OpenGL (+Y)" if agreement > 0.0 else "DirectX (-Y)"
-        why = "its slopes agree with the height map" if evidence == "height" else "its slopes then have the least curl"
-        texture_set.note(
-            f"The normal map '{file}' does not say whether it is OpenGL or DirectX: {said} is taken because {why} "
-            f"(correlation {abs(agreement):.2f})."
-        )
-    else:
+    found = measured_evidence(texture_set)
+    if guessed:
+        found.append(Evidence(texture_set.normal_y, _GUESS, "convention"))
+    found = sorted((each for each in found if each.strength >= DECISIVE), key=lambda each: -each.strength)
+    if not found:
         texture_set.note(
             f"The normal map '{file}' does not say whether it is OpenGL or DirectX, and its slopes do not tell: OpenGL "
             f"(+Y) is assumed; give normal-y if it is not."
         )
+        return
+    best = found[0]
+    texture_set.normal_y, texture_set.normal_y_source = best.normal_y, best.source
+    if best.source == "convention":
+        texture_set.note(
+            f"The normal map '{file}' is read as DirectX (-Y), as the older CC0Textures are by their names."
+        )
+    else:
+        texture_set.note(
+            f"The normal map '{file}' does not say whether it is OpenGL or DirectX: {_SAID[best.normal_y]} is taken "
+            f"because {_WHY[best.source]} (correlation {best.strength:.2f})."
+        )
+    against = [each for each in found if each.normal_y != best.normal_y]
+    if against:
+        texture_set.note(
+            f"The evidence for the Y of '{file}' contradicts itself: {against[0].source} speaks for "
+            f"{_SAID[against[0].normal_y]} with {against[0].strength:.2f}; give normal-y if that is right."
+        )
 
 
-def normal_y_agreement(texture_set: TextureSet) -> tuple[float, str]:
-    """Evidence for the normal's Y as stored: a correlation, positive for OpenGL, and "height" or "slopes".
-
-    With a height map: of the normal's y slope with the height's gradient. Without: of dm_x/dy with dm_y/dx, which are
-    equal on any surface (its slopes have no curl) and opposite where y is flipped.
-    """
+def measured_evidence(texture_set: TextureSet) -> list[Evidence]:
+    """What the normal map and the height map say of the normal's Y as stored."""
     normal = texture_set.maps["normal"]
     pixels, noise = normal.read()
     if pixels.shape[2] < 2:
-        return 0.0, "slopes"
+        return []
     slope = encoding.slopes_of_normals(normal.vectors(pixels[:_CROP, :_CROP])[0])
+    found = []
     height = texture_set.maps.get("height")
-    if height is not None and height.size == normal.size:
-        field_, _ = height.quantity(height.read()[0])
-        up = encoding.height_gradient(field_[:_CROP, :_CROP], "clamp")[:, :, 1]
-        # A slope under a code step is no evidence; chrome's dither correlates with nothing.
-        if float(slope[:, :, 1].std()) > noise.step and float(up.std()) > 0.0:
-            agreement = _correlation(slope[:, :, 1], up)
-            if abs(agreement) >= DECISIVE:
-                return agreement, "height"
-    if min(slope.shape[:2]) < 4 or float(slope.std()) <= noise.step:
+    # A slope under a code step is no evidence; chrome's dither correlates with nothing.
+    if height is not None and height.size == normal.size and float(slope[:, :, 1].std()) > noise.step:
+        values, _ = height.quantity(height.read()[0])
+        x, y = height_agreement(values, slope)
+        strength = abs(y) if abs(x) >= DECISIVE else _HALF_BLIND * abs(y)
+        sign = y * (x if abs(x) >= DECISIVE else 1.0)
+        found.append(Evidence("gl" if sign > 0.0 else "dx", strength, "height"))
+    curl = curl_agreement(slope) if float(slope.std()) > noise.step else 0.0
+    found.append(Evidence("gl" if curl > 0.0 else "dx", abs(curl), "slopes"))
+    return found
+
+
+def normal_y_agreement(texture_set: TextureSet) -> tuple[float, str]:
+    """The strongest measured evidence: a correlation, positive for OpenGL, and "height" or "slopes"."""
+    found = measured_evidence(texture_set)
+    if not found:
         return 0.0, "slopes"
+    best = max(found, key=lambda each: each.strength)
+    return (best.strength if best.normal_y == "gl" else -best.strength), best.source
+
+
+def contradiction(vectors: NDArray) -> float:
+    """How strongly the curl of decoded normals (H, W, 3), OpenGL, speaks against their Y: a correlation, or 0."""
+    return max(0.0, -curl_agreement(encoding.slopes_of_normals(vectors[:_CROP, :_CROP])))
+
+
+def curl_agreement(slope: NDArray) -> float:
+    """Correlation of dm_x/dy with dm_y/dx of slopes (H, W, 2): positive where y goes up."""
+    if min(slope.shape[:2]) < 4:
+        return 0.0
     along_x = encoding.height_gradient(slope[:, :, 0], "clamp")[1:-1, 1:-1, 1]
     along_y = encoding.height_gradient(slope[:, :, 1], "clamp")[1:-1, 1:-1, 0]
-    return _correlation(along_x, along_y), "slopes"
+    return _correlation(along_x, along_y)
+
+
+def height_agreement(height: NDArray, slope: NDArray) -> tuple[float, float]:
+    """Correlations of slopes (H, W, 2) with the gradient of a height (H, W), in x and in y."""
+    gradient = encoding.height_gradient(height[:_CROP, :_CROP], "clamp")
+    slope = slope[:_CROP, :_CROP]
+    return _correlation(slope[:, :, 0], gradient[:, :, 0]), _correlation(slope[:, :, 1], gradient[:, :, 1])
 
 
 def scale_from_slopes(height: NDArray, vectors: NDArray) -> float | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from brdffit.errors import InputError, UnknownNameError
-from brdffit.files.image_io import IMAGE_SUFFIXES, ImageInfo, read_info
+from brdffit.files.image_io import IMAGE_SUFFIXES, UNREAD_SUFFIXES, read_info
 from brdffit.svbrdf import WRAPS
 from brdffit.textures.frames import IDENTITY, common_frame
 from brdffit.textures.gltf import read_gltf
@@ -126,14 +126,55 @@ def _find_maps(path: Path, roles: dict[str, str], material: str | None) -> Textu
         what = f"{len(names)} files, none of them an image" if names else "nothing"
         raise InputError(f"'{path}' holds {what}, expected a folder of textures such as Name_NormalGL.png.")
     explicit = explicit_roles(path, roles)
-    infos = {name: _header(path / name) for name in images}
-    named = roles_from_names(images, [name for name, info in infos.items() if info and len(info.channels) in (2, 4)])
-    surface_named = {"normal", "height"} & (named.maps.keys() | explicit.keys())
-    if not surface_named and len(scenes) == 1:
-        texture_set = read_material(path / scenes[0], material)
-        texture_set.name = path.resolve().name
-        texture_set.maps |= explicit
-        return texture_set
+    unread = [name for name in names if name.lower().endswith(UNREAD_SUFFIXES)]
+    bad = [name for name in images if not _is_utf8(name)]
+    images = [name for name in images if name not in bad]
+    named = roles_from_names(images, [name for name in images if _has_alpha(path / name)])
+    from_file, why = _by_file(path, scenes, named, material)
+    texture_set = from_file or _by_names(path, named, explicit)
+    if why:
+        texture_set.note(why)
+    if bad:
+        shown = ", ".join(name.encode("utf-8", "backslashreplace").decode() for name in bad)
+        texture_set.note(f"Files whose names are not UTF-8 are not read: {shown}; rename them.")
+    texture_set.maps = dict(sorted((texture_set.maps | explicit).items(), key=lambda item: ROLES.index(item[0])))
+    used = {file.name for each in texture_set.maps.values() for file in each.paths}
+    texture_set.ignored = [name for name in images if name not in used] + unread
+    return texture_set
+
+
+def _by_file(path: Path, scenes: list[str], named: NamedSet, material: str | None) -> tuple[TextureSet | None, str]:
+    """The set of a folder as its one material file says it; or None, and why not where pictures tell a surface.
+
+    What such a file cannot say, occlusion and height, is added by names.
+    """
+    has_surface = bool({"normal", "height"} & named.maps.keys())
+    if len(scenes) != 1:
+        several = f"'{path}' has {len(scenes)} material files ({', '.join(scenes)}): maps are taken by their names."
+        return None, several if scenes and has_surface else ""
+    scene = scenes[0]
+    try:
+        texture_set = read_material(path / scene, material)
+        missing = [file.name for each in texture_set.maps.values() for file in each.paths if not file.exists()]
+    except InputError as error:
+        if not has_surface:
+            raise
+        return None, f"'{scene}' is not read, maps are taken by their names. {error}"
+    if has_surface and missing:
+        return None, f"'{scene}' names files that are not there ({missing[0]}): maps are taken by their names."
+    if has_surface and not {"normal", "height"} & texture_set.maps.keys():
+        return None, f"'{scene}' names no normal map, and the folder holds one: maps are taken by their names."
+    texture_set.name = path.resolve().name
+    for role in ("ao", "height"):
+        found = named.maps.get(role)
+        if found is not None and role not in texture_set.maps and not found.channel:
+            texture_set.maps[role] = Map(role, path / found.file, word=found.word)
+            texture_set.note(f"'{found.file}' is not in '{scene}': it is read as {role} by its name.")
+    return texture_set, f"Maps and factors are those of '{scene}'." if has_surface else ""
+
+
+def _by_names(path: Path, named: NamedSet, explicit: dict[str, Map]) -> TextureSet:
+    """The set of a folder as its names tell it."""
     for role, files in named.rivals.items():
         if role not in explicit:
             raise InputError(
@@ -145,23 +186,25 @@ def _find_maps(path: Path, roles: dict[str, str], material: str | None) -> Textu
         for role, found in named.maps.items()
         if role not in explicit
     }
-    used = {found.path.name for found in (*maps.values(), *explicit.values())}
-    texture_set = TextureSet(
-        name=path.resolve().name,
-        maps=dict(sorted((maps | explicit).items(), key=lambda item: ROLES.index(item[0]))),
-        ignored=[name for name in images if name not in used],
-        notes=list(named.notes),
-    )
+    texture_set = TextureSet(name=path.resolve().name, maps=maps | explicit, notes=list(named.notes))
     normal_y_from_names(texture_set, named)
     return texture_set
 
 
-def _header(path: Path) -> ImageInfo | None:
-    """The header, or None where the file is no readable image: that is an error only once the file is used."""
+def _has_alpha(path: Path) -> bool:
+    """Whether a picture has an alpha channel; one that cannot be read is an error only once it is used."""
     try:
-        return read_info(path)
+        return len(read_info(path).channels) in (2, 4)
     except InputError:
-        return None
+        return False
+
+
+def _is_utf8(name: str) -> bool:
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def explicit_roles(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
@@ -186,15 +229,12 @@ def explicit_roles(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
 
 def normal_y_from_names(texture_set: TextureSet, named: NamedSet) -> None:
     normal = named.maps.get("normal")
-    if normal is None or normal.file != texture_set.maps["normal"].path.name:
+    if normal is None or "normal" not in texture_set.maps or normal.file != texture_set.maps["normal"].path.name:
         return
     if normal.normal_y:
         texture_set.normal_y, texture_set.normal_y_source = normal.normal_y, "name"
     elif old_cc0textures(named):
         texture_set.normal_y, texture_set.normal_y_source = "dx", "convention"
-        texture_set.note(
-            f"The normal map '{normal.file}' is read as DirectX (-Y), as the older CC0Textures are by their names."
-        )
 
 
 def settle_wrap(texture_set: TextureSet, path: Path, wrap: str | None) -> None:

@@ -12,12 +12,14 @@ from brdffit.errors import InputError
 from brdffit.textures import encoding
 from brdffit.textures.frames import IDENTITY, turn_of
 from brdffit.textures.noise_floor import flat_as_flat, subtract_noise_floor
-from brdffit.textures.orientation import scale_from_slopes
+from brdffit.textures.orientation import DECISIVE, contradiction, height_agreement, scale_from_slopes
 from brdffit.textures.texture_set import Map, TextureSet
 
 #: Height between the least and the greatest value of a height map nobody gave a scale for, as a share of the texture's
 #: longer side: about the median of the real sets whose normal maps tell it.
 DEFAULT_HEIGHT_SHARE = 0.02
+#: Correlation from which the curl of a normal map is held against what its name says.
+_CONTRADICTS = 0.5
 #: The mean of a normal map's red and green where 0.5 was decoded from sRGB, or encoded to it.
 _SRGB_MEANS = {"decoded as": 0.2140, "encoded as": 0.7354}
 
@@ -89,9 +91,23 @@ def normal_and_height(texture_set: TextureSet, unread: Collection[str]) -> tuple
         return np.array([[[0.0, 0.0, 1.0]]], np.float32), None
     named = maps.get("height")
     height = None if named is None else texture_set.quantity(named)
-    if height is not None and texture_set.height_inverted:
-        height = float(height.max()) - height
     vectors = decode_normals(texture_set) if "normal" in maps else None
+    if vectors is not None and texture_set.normal_y_source in ("name", "convention", "given"):
+        against = contradiction(vectors)
+        if against >= _CONTRADICTS:
+            read = {"gl": "OpenGL (+Y)", "dx": "DirectX (-Y)"}[texture_set.normal_y]
+            texture_set.note(
+                f"'{maps['normal'].path.name}' is read as {read}, as its {texture_set.normal_y_source} says, but its "
+                f"slopes' curl speaks against it (correlation {against:.2f}): check normal-y."
+            )
+    if height is not None and vectors is not None and vectors.shape[:2] == height.shape:
+        across, _ = height_agreement(height, encoding.slopes_of_normals(vectors))
+        if across <= -DECISIVE:
+            height = float(height.max()) - height
+            texture_set.note(
+                f"The height map '{maps['height'].path.name}' is inverted, white is deep: along x its slopes are "
+                f"opposite to those of the normal map (correlation {across:.2f}). It is turned over."
+            )
     if height is not None:
         height = np.float32(_height_scale(texture_set, height, vectors)) * height
     if vectors is None:

@@ -123,7 +123,6 @@ class TextureSet:
         alpha_cutoff: opacity below which a cut-out is not there; None where it is blended, or there is none.
         height_scale: texels between height values 0 and 1, or None to be derived.
         denoise_normals: whether the normals are read without what their codes cannot tell from flat (``noise_floor``).
-        height_inverted: whether a high value of the height map lies deep.
         factors: constants that multiply a map, or stand for it: "base_color" (3,), "metallic", "roughness",
             "specular" (3,), "normal" (of x and y), "occlusion", "gloss", "opacity", "f0" (of a dielectric),
             "specular_level" and "specular_color" (3,) (of it), "anisotropy" (strength), "anisotropy_rotation" (radians,
@@ -141,7 +140,6 @@ class TextureSet:
     height_scale: float | None = None
     denoise_normals: bool = False
     alpha_cutoff: float | None = None
-    height_inverted: bool = False
     factors: dict[str, NDArray | float] = field(default_factory=dict)
     ignored: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

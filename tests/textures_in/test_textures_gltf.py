@@ -249,3 +249,15 @@ def test_a_grey_picture_stands_for_rgb_and_missing_alpha_is_one(write, tmp_path:
     np.testing.assert_allclose(perceptual_from_log_tensor(svbrdf.log_roughness), grey, atol=0.003)
     _, svbrdf = read(write(base_material(extensions=extensions)))
     np.testing.assert_allclose(perceptual_from_log_tensor(svbrdf.log_roughness), 0.001, rtol=1e-3)
+
+
+def test_a_folder_of_a_scene_and_its_pictures_has_the_scenes_scale(write, tmp_path: Path) -> None:
+    """The folder's names once won over the file's factors: slopes four times too steep."""
+    write(base_material(normalTexture={"index": 2, "scale": 0.25}))
+    for name, new in (("c.png", "Wall_Color.png"), ("orm.png", "Wall_ORM.png"), ("n.png", "Wall_NormalGL.png")):
+        (tmp_path / name).rename(tmp_path / new)
+        scene = tmp_path / "scene.gltf"
+        scene.write_text(scene.read_text().replace(f'"{name}"', f'"{new}"'))
+    _, svbrdf = read(tmp_path)
+    slope = svbrdf.normal[..., :2] / svbrdf.normal[..., 2:]
+    np.testing.assert_allclose(slope, 0.25 * NORMAL[..., :2] / NORMAL[..., 2:], atol=1e-3)

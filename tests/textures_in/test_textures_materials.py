@@ -152,11 +152,23 @@ def test_a_folder_with_one_scene_and_no_named_maps_is_read_through_it(maps, expe
     same(to_svbrdf(texture_set), expected)
 
 
-def test_a_folder_with_named_maps_is_read_by_names(maps, tmp_path: Path) -> None:
+def test_a_folder_with_a_material_file_is_read_by_it(maps, expected, tmp_path: Path) -> None:
+    """Pictures that the file does not use are listed; a file that cannot be read gives way to names, and is named."""
     folder = tmp_path / "scene"
-    as_path = write_image(folder / "brick_NormalGL.png", encoded(NORMAL))
-    as_materialx(maps, folder)
-    assert read_texture_set(folder).maps["normal"].path == as_path
+    stray = write_image(folder / "brick_NormalGL.png", encoded(NORMAL))
+    write_image(folder / "brick_Height.png", HEIGHT - HEIGHT.min())
+    file = as_materialx(maps, folder)
+    texture_set = read_texture_set(folder)
+    assert texture_set.maps["normal"].path.resolve() == maps["normal"].resolve()
+    assert texture_set.ignored == [stray.name]
+    assert any("Maps and factors are those of 'wall.mtlx'" in note for note in texture_set.notes)
+    assert any("'brick_Height.png' is not in 'wall.mtlx': it is read as height" in note for note in texture_set.notes)
+    maps["normal"].unlink()
+    texture_set = read_texture_set(folder)
+    assert texture_set.maps["normal"].path == stray
+    assert any("names files that are not there (four.png)" in note for note in texture_set.notes)
+    file.write_text("<materialx")
+    assert any("'wall.mtlx' is not read" in note for note in read_texture_set(folder).notes)
 
 
 def test_factors_multiply_or_stand_for_maps(maps, tmp_path: Path) -> None:

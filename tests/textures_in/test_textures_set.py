@@ -65,6 +65,35 @@ def test_the_height_tells_the_normals_y(make_folder, normal_y: str) -> None:
 
 
 @pytest.mark.parametrize("normal_y", ["gl", "dx"])
+def test_an_inverted_height_says_nothing_against_the_normals(make_folder, normal_y: str) -> None:
+    """A depth map (white is deep) beside unmarked normals: x disagrees as well, so the height is inverted."""
+    depth = (HEIGHT.max() - HEIGHT) / np.ptp(HEIGHT)
+    folder = make_folder(normal__png=(encoded(NORMAL, normal_y), "uint16"), depth__png=(depth, "uint16"))
+    texture_set, svbrdf = read(folder)
+    assert texture_set.normal_y == normal_y
+    np.testing.assert_allclose(svbrdf.normal, NORMAL, atol=EIGHT_BITS)
+    assert any("is inverted, white is deep" in note for note in texture_set.notes)
+    np.testing.assert_allclose(svbrdf.height - svbrdf.height.mean(), HEIGHT - HEIGHT.mean(), atol=0.03 * np.ptp(HEIGHT))
+
+
+def test_what_is_measured_outweighs_a_guess_by_names(make_folder) -> None:
+    """X_COL, X_NRM are words of the older CC0Textures (DirectX), and of Poliigon (OpenGL)."""
+    colour = np.random.default_rng(0).random((48, 64, 3))
+    texture_set = read_texture_set(make_folder(X_NRM__png=(encoded(NORMAL), "uint16"), X_COL__png=colour))
+    assert (texture_set.normal_y, texture_set.normal_y_source) == ("gl", "slopes")
+    (note,) = [note for note in texture_set.notes if "contradicts itself" in note]
+    assert "convention speaks for DirectX (-Y) with 0.50" in note
+
+
+def test_a_name_that_its_slopes_contradict_is_said_where_it_is_baked(make_folder) -> None:
+    texture_set, _ = read(make_folder(a_NormalGL__png=(encoded(NORMAL, "dx"), "uint16")))
+    assert texture_set.normal_y == "gl"
+    assert any("its slopes' curl speaks against it" in note for note in texture_set.notes)
+    texture_set, _ = read(make_folder("right", a_NormalGL__png=(encoded(NORMAL), "uint16")))
+    assert not any("curl" in note for note in texture_set.notes)
+
+
+@pytest.mark.parametrize("normal_y", ["gl", "dx"])
 def test_the_slopes_alone_tell_the_normals_y(make_folder, normal_y: str) -> None:
     texture_set = read_texture_set(make_folder(normal__png=(encoded(NORMAL, normal_y), "uint16")))
     assert (texture_set.normal_y, texture_set.normal_y_source) == (normal_y, "slopes")
@@ -93,6 +122,77 @@ def test_two_channel_normals_get_their_z_back(make_folder, blue: float | None) -
     texture_set, svbrdf = read(make_folder(a_NormalGL__png=(stored, "uint16")))
     np.testing.assert_allclose(svbrdf.normal, NORMAL, atol=5e-5)
     assert any("z is rebuilt" in note for note in texture_set.notes)
+
+
+def test_two_channels_in_a_lossy_file_get_their_z_back(make_folder) -> None:
+    """A blue of 255 that a JPEG has roughened once counted as z: slopes a third too flat."""
+    stored = encoded(NORMAL)
+    stored[..., 2] = 1.0
+    texture_set, svbrdf = read(make_folder(a_NormalGL__jpg=(stored, "uint8")))
+    slope, expected = (n[..., :2] / n[..., 2:] for n in (svbrdf.normal, NORMAL))
+    assert slope.std() == pytest.approx(expected.std(), rel=0.02)
+    assert any("z is rebuilt" in note for note in texture_set.notes)
+
+
+def test_a_lossy_map_with_a_blue_of_its_own_keeps_it(make_folder) -> None:
+    texture_set, _ = read(make_folder(a_NormalGL__jpg=(encoded(NORMAL), "uint8")))
+    assert not any("z is rebuilt" in note for note in texture_set.notes)
+
+
+@pytest.mark.parametrize("red", [0.0, 1.0])
+def test_x_in_alpha_is_read(make_folder, red: float) -> None:
+    """DXT5nm, as games store it: x in alpha, y in green, red a constant."""
+    xy = encoded(NORMAL)
+    stored = np.dstack([np.full_like(xy[..., 0], red), xy[..., 1], np.full_like(xy[..., 0], red), xy[..., 0]])
+    texture_set, svbrdf = read(make_folder(a_NormalGL__png=(stored, "uint16")))
+    np.testing.assert_allclose(svbrdf.normal, NORMAL, atol=5e-5)
+    assert any("holds x in alpha" in note for note in texture_set.notes)
+
+
+def test_a_grey_specular_map_beside_roughness_is_a_level(make_folder) -> None:
+    flat, grey = np.full((4, 4, 3), [0.5, 0.5, 1.0]), np.full((4, 4), 128 / 255)
+    rough = np.random.default_rng(0).random((4, 4))
+    _, svbrdf = read(make_folder(a_NormalGL__png=flat, a_Specular__png=grey, a_Roughness__png=rough))
+    np.testing.assert_allclose(svbrdf.specular, 0.08 * 128 / 255, rtol=1e-5)
+    colour = np.random.default_rng(1).random((4, 4, 3))
+    _, svbrdf = read(make_folder("b", a_NormalGL__png=flat, a_Specular__png=colour, a_Gloss__png=rough))
+    assert svbrdf.specular.max() > 0.1
+
+
+def test_a_height_in_metres_has_its_own_range(make_folder) -> None:
+    """Values from 2.3 to 2.34: the default span is of what is there, and is told."""
+    metres = 2.3 + 0.04 * (HEIGHT - HEIGHT.min()) / np.ptp(HEIGHT)
+    texture_set, svbrdf = read(make_folder(a_Height__exr=(metres, "float")))
+    assert np.ptp(svbrdf.height) == pytest.approx(0.02 * 64, rel=1e-3)
+    assert any("values go from 2.3 to 2.34" in note for note in texture_set.notes)
+
+
+def test_a_constant_map_has_no_proportions(make_folder) -> None:
+    stand_in = np.full((4, 4), 0.4)
+    colour = np.random.default_rng(0).random((32, 64, 3))
+    _, svbrdf = read(
+        make_folder(
+            a_NormalGL__png=np.full((32, 64, 3), [0.5, 0.5, 1.0]), a_Color__png=colour, a_Roughness__png=stand_in
+        )
+    )
+    np.testing.assert_allclose(roughness_of(svbrdf), 0.4, atol=1e-6)
+    assert svbrdf.size == (32, 64)
+
+
+def test_what_is_not_read_is_listed(make_folder) -> None:
+    folder = make_folder(a_NormalGL__png=encoded(NORMAL), a_other__png=encoded(NORMAL))
+    (folder / "a.ktx2").write_bytes(b"x")
+    (folder / "a.sbsar").write_bytes(b"x")
+    (folder / "notes.txt").write_text("x")
+    assert read_texture_set(folder).ignored == ["a_other.png", "a.ktx2", "a.sbsar"]
+
+
+def test_a_file_whose_name_is_not_utf8_is_named_and_the_others_go_on(make_folder) -> None:
+    folder = make_folder(a_NormalGL__png=encoded(NORMAL))
+    Path(os.fsdecode(os.fsencode(folder) + b"/caf\xe9_Color.png")).write_bytes(b"x")
+    texture_set, _ = read(folder)
+    (note,) = [note for note in texture_set.notes if "UTF-8" in note]
+    note.encode("utf-8")
 
 
 def test_short_normals_are_normalised(make_folder) -> None:
