@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -128,10 +127,10 @@ class Described(NamedTuple):
         """What it may be, in a few words."""
         if self.names:
             return "|".join(self.names)
-        (kind, *_) = (each for each in _alternatives(self.kind) if each is not type(None))
-        if kind is bool:
+        types = [each for each in (typing.get_args(self.kind) or (self.kind,)) if each is not type(None)]
+        if types[0] is bool:
             return "true|false"
-        word = {int: "whole number", float: "number", str: "text"}.get(kind, "values a,b")
+        word = {int: "whole number", float: "number", str: "text"}.get(types[0], "values a,b,...")
         return f"{word} {self.limits}".strip()
 
 
@@ -155,11 +154,6 @@ def _described(kind: Any) -> dict[str, Described]:
     return found
 
 
-def _alternatives(kind: Any) -> tuple[Any, ...]:
-    """The types that a value may be of."""
-    return typing.get_args(kind) if typing.get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
-
-
 def _own_fields(kind: type) -> Iterable[str]:
     return (name for name in kind.__dict__.get("__annotations__", {}) if name != "group")
 
@@ -176,8 +170,6 @@ def make_options(kind: type[Options], given: Mapping[str, Any], method: str) -> 
         each = _find(known, name)
         if each is None:
             raise OptionError(_unknown(name, known, method))
-        if each.name in found:
-            raise OptionError(f"Option '{each.full_name}' is given twice.")
         found[each.name] = _checked(each, value)
     return kind(**found)
 
@@ -198,15 +190,6 @@ def refuse_unknown(kinds: Mapping[str, type[BakeOptions]], given: Mapping[str, A
         if all(_find(described(kind), name) is None for kind in kinds.values()):
             together = {key: each for kind in kinds.values() for key, each in described(kind).items()}
             raise OptionError(_unknown(name, together, ", ".join(kinds)))
-
-
-def merged(*given: Mapping[str, Any]) -> dict[str, Any]:
-    """Several mappings of options as one; later ones win, also where they spell a name another way."""
-    found: dict[str, Any] = {}
-    for name, value in (item for mapping in given for item in mapping.items()):
-        found = {key: other for key, other in found.items() if not _same(key, name)}
-        found[name] = value
-    return found
 
 
 def changed_options(options: BakeOptions) -> dict[str, Any]:
@@ -242,13 +225,6 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
             yield prefix + name, value
 
 
-def _same(one: str, other: str) -> bool:
-    """Whether two spellings mean one option: "loss" and "fit.loss" do, "fit.loss" and "ndm.loss" do not."""
-    one, other = one.replace("-", "_"), other.replace("-", "_")
-    ends = one.rpartition(".")[2] == other.rpartition(".")[2]
-    return ends and (one == other or "." not in one or "." not in other)
-
-
 def _find(known: Mapping[str, Described], name: str) -> Described | None:
     each = known.get(name.rpartition(".")[2].replace("-", "_"))
     return each if each is not None and ("." not in name or name.replace("-", "_") == each.full_name) else None
@@ -261,8 +237,8 @@ def _unknown(name: str, known: Mapping[str, Described], method: str) -> str:
     near = difflib.get_close_matches(name, full, n=1, cutoff=0.6) or [
         ends[each] for each in difflib.get_close_matches(end, list(ends), n=1, cutoff=0.6)
     ]
-    known_ones = f"did you mean '{near[0]}'?" if near else f"it knows {', '.join(full)}."
-    return f"Method {method} has no option '{name}': {known_ones}"
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    return f"Method {method} has no option '{name}': {hint}it knows {', '.join(full)}."
 
 
 def _checked(each: Described, value: Any) -> Any:
@@ -271,10 +247,9 @@ def _checked(each: Described, value: Any) -> Any:
     Raises:
         OptionError: when it is none.
     """
-    nothing = value is None or (isinstance(value, str) and value.strip().lower() == _NOTHING)
-    if nothing and type(None) in _alternatives(each.kind):
-        return None
     found = _converted(each, value)
+    if found is None and type(None) in typing.get_args(each.kind):
+        return None
     if each.names and found not in each.names:
         near = difflib.get_close_matches(str(value), each.names, n=1, cutoff=0.4)
         hint = f"did you mean '{near[0]}'? " if near else ""
@@ -292,10 +267,10 @@ def _expected(each: Described) -> str:
 
 
 def _converted(each: Described, value: Any) -> Any:
-    """The value as one of the option's types; None where it is of no such type."""
+    """The value as one of the option's types; None where it is "none" or of no such type."""
     if each.names and isinstance(value, str):
         return value
-    for kind in _alternatives(each.kind):
+    for kind in typing.get_args(each.kind) or (each.kind,):
         origin = typing.get_origin(kind) or kind
         if origin is tuple:
             return _tuple_of(typing.get_args(kind), value)
@@ -321,6 +296,8 @@ def _bool_of(value: Any) -> bool | None:
 
 def _tuple_of(kinds: tuple[Any, ...], value: Any) -> tuple[Any, ...] | None:
     parts = value.split(",") if isinstance(value, str) else value
+    if isinstance(value, str) and value.strip().lower() == _NOTHING:
+        return None
     element = kinds[0] if kinds and kinds[0] in (int, float, str) else str
     try:
         found = tuple(element(part.strip() if isinstance(part, str) else part) for part in parts)

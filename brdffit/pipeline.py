@@ -149,6 +149,7 @@ def bake_to_folder(
     method: str = DEFAULT,
     preset: str = "plain",
     bits: int = 8,
+    compress: str = "good",
     preview: bool = True,
     without: Collection[str] = (),
     progress: ProgressListener | None = None,
@@ -158,7 +159,8 @@ def bake_to_folder(
 ) -> BakeReport:
     """Bake a set and write OUT/<set>: EXR pyramid, engine pictures, manifest, preview; all of them or none.
 
-    Arguments as in ``bake``; ``bits`` (8 or 16) of the pictures, ``name`` of the set if not that of its folder,
+    Arguments as in ``bake``; ``bits`` (8 or 16) of the pictures, ``compress`` how long encoders of
+    blocks may take ("fast", "good", "best"), ``name`` of the set if not that of its folder,
     ``annotate`` what more the manifest says.
 
     Raises:
@@ -173,16 +175,17 @@ def bake_to_folder(
         texture_set = open_set(source, reading, without)
         name = name or (texture_set.name if texture_set else "svbrdf")
         folder = Path(output) / name
-        export.check_writable(folder)
+        export.check_writable(folder, preset=preset, bits=bits)
         read = dataclasses.replace(read_set(texture_set or source, {}, asked, without), name=name)
-        export.check_writable(folder, read.material.size)
+        export.check_writable(folder, read.material.size, preset, bits)
     baked = run(read, chosen, asked, phases)
     draw = (lambda: draw_preview(read, baked)) if preview else None
 
     def write(baked: Baked, manifest: dict[str, Any], picture: NDArray | None) -> dict[str, Any]:
         return export.write_baked(
-            baked, folder, name=read.name, preset=preset, bits=bits, manifest=manifest, preview=picture
-        )
+            baked, folder, name=read.name, preset=preset, bits=bits, compress=compress, manifest=manifest,
+            preview=picture,
+        )  # fmt: skip
 
     manifest, measured = finish(read, baked, phases, write=write, draw=draw, annotate=annotate)
     return BakeReport(folder, baked, measured, [*baked.notes, *read.notes], phases.seconds, manifest)

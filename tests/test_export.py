@@ -9,21 +9,22 @@ from export_support import averaged_pyramid, random_svbrdf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from brdffit.colour import decode_srgb
-from brdffit.errors import UnknownNameError
-from brdffit.export.manifest import build_manifest
-from brdffit.export.presets import (
+from brdffit.colour import decode_srgb, encode_srgb
+from brdffit.errors import OutputError, UnknownNameError
+from brdffit.export.channels import (
     GODOT_RANGE,
-    PRESETS,
     Channels,
     alphas_from_gltf,
     anisotropy_direction,
     base_color_and_metallic,
-    get_preset,
+    decode,
     gltf_strength_from_alphas,
     tangent_above,
 )
-from brdffit.export.writing import dominant_direction, encode_level, encode_srgb, quantise, write_baked
+from brdffit.export.manifest import build_manifest
+from brdffit.export.pictures import Drawing, dominant_direction, full_chain, quantise
+from brdffit.export.presets import PRESETS, get_preset
+from brdffit.export.writing import write_baked
 from brdffit.files.image_io import read_image, read_mip_exr
 from brdffit.methods import Baked
 from brdffit.roughness import log_from_tensor, tensor_from_log
@@ -107,34 +108,31 @@ def test_levels_that_a_short_pyramid_lacks_are_averages_of_its_last(tmp_path):
     assert not (tmp_path / "set" / "mips" / "set_normal.2.png").exists()
 
 
-@pytest.mark.parametrize("name", list(PRESETS))
+OF_PNG = [name for name, preset in PRESETS.items() if preset.container == "png"]
+
+
+@pytest.mark.parametrize("name", OF_PNG)
 @pytest.mark.parametrize("bits", [8, 16])
-def test_a_preset_writes_its_pictures_for_every_level(tmp_path, name, bits):
+def test_a_preset_of_png_files_writes_its_pictures_for_every_level(tmp_path, name, bits):
     preset = get_preset(name)
     pyramid = averaged_pyramid(random_svbrdf((6, 10)), lobe=preset.lobe)
     write(pyramid, tmp_path / "set", preset=name, bits=bits)
-    expected = {
-        f"set_{picture.role}.{k}.png"
-        for picture in preset.pictures
-        for k in range(len(pyramid))
-        if picture.needs != "occlusion"
-    }
+    pictures = [picture for picture in preset.pictures if picture.needs != "occlusion"]
+    expected = {f"set_{picture.role}.{k}.png" for picture in pictures for k in range(len(pyramid))}
     assert {path.name for path in (tmp_path / "set" / "mips").iterdir()} == expected
-    for picture in preset.pictures:
-        if picture.needs == "occlusion":
-            continue
-        for k, level in enumerate(pyramid.levels):
-            towards = dominant_direction(pyramid[0].svbrdf)
-            codes, _ = encode_level(level.svbrdf, [picture], preset.normal_y, towards, bits)[0]
+    drawing = Drawing([level.svbrdf for level in pyramid.levels], preset.normal_y)
+    for picture in pictures:
+        codes, _ = drawing.draw(picture, picture.srgb, bits)
+        for k, level in enumerate(codes):
             image = read_image(tmp_path / "set" / "mips" / f"set_{picture.role}.{k}.png")
             assert image.bits == bits
             # Alpha must not have been multiplied in, nor colours converted.
-            np.testing.assert_array_equal(np.round(image.pixels * (2**bits - 1)), codes)
+            np.testing.assert_array_equal(np.round(image.pixels * (2**bits - 1)), level)
 
 
 def test_isotropic_bakes_have_no_anisotropy_pictures(tmp_path):
-    write(averaged_pyramid(random_svbrdf((4, 4)), lobe="isotropic"), tmp_path / "set", preset="gltf")
-    assert not list((tmp_path / "set" / "mips").glob("*anisotropy*"))
+    write(averaged_pyramid(random_svbrdf((4, 4)), lobe="isotropic"), tmp_path / "set", preset="three")
+    assert not list((tmp_path / "set").rglob("*anisotropy*"))
 
 
 def test_occlusion_is_written_where_there_is_some(tmp_path):
@@ -150,26 +148,29 @@ def test_occlusion_is_written_where_there_is_some(tmp_path):
     ("preset", "role", "channels"),
     [
         ("gltf", "occlusionRoughnessMetallic", ["occlusion", "gltf_roughness", "metallic"]),
-        ("unreal", "ORM", ["occlusion", "roughness", "metallic"]),
+        ("unreal", "ORM", ["occlusion", "mean_roughness", "metallic", "mean_anisotropy"]),
         ("godot", "orm", ["occlusion", "roughness", "metallic"]),
-        ("unity", "MaskMap", ["metallic", "occlusion", "one", "smoothness"]),
+        ("unity", "MaskMap", ["metallic", "occlusion", "one", "mean_smoothness"]),
     ],
 )
 def test_packed_channels_hold_what_the_engine_reads(preset, role, channels):
     svbrdf = random_svbrdf((5, 7), occlusion=np.random.default_rng(5).random((5, 7), dtype=np.float32))
     picture = next(picture for picture in get_preset(preset).pictures if picture.role == role)
-    codes, _ = encode_level(svbrdf, [picture], "gl", (1.0, 0.0), 16)[0]
+    (codes,), _ = Drawing([svbrdf], "gl").draw(picture, picture.srgb, 16)
     # By hand: what each name means, apart from `Channels`.
     _, metallic = base_color_and_metallic(svbrdf.specular, svbrdf.diffuse)
     tensor = tensor_from_log(svbrdf.log_roughness).astype(np.float64)
     roughness = (tensor[..., 0] * tensor[..., 1] - tensor[..., 2] ** 2) ** 0.125
     matrices = np.stack([tensor[..., [0, 2]], tensor[..., [2, 1]]], axis=-2)
+    minor, major = np.moveaxis(np.sqrt(np.linalg.eigvalsh(matrices)), -1, 0)
     by_name = {
         "occlusion": svbrdf.occlusion,
         "metallic": metallic,
         "roughness": roughness,
-        "smoothness": 1.0 - roughness,
-        "gltf_roughness": np.linalg.eigvalsh(matrices)[..., 0] ** 0.25,
+        "mean_roughness": np.sqrt((major + minor) / 2),
+        "mean_smoothness": 1 - np.sqrt((major + minor) / 2),
+        "mean_anisotropy": (major - minor) / (major + minor),
+        "gltf_roughness": np.sqrt(minor),
         "one": np.ones((5, 7)),
     }
     for index, name in enumerate(channels):
@@ -181,14 +182,61 @@ def test_directx_and_opengl_normals_differ_by_the_sign_of_y():
     gl, dx = Channels(svbrdf, "gl"), Channels(svbrdf, "dx")
     np.testing.assert_allclose(2 * gl["normal_y"] - 1, -(2 * dx["normal_y"] - 1), atol=1e-6)
     np.testing.assert_array_equal(gl["normal_x"], dx["normal_x"])
-    assert {name: preset.normal_y for name, preset in PRESETS.items()} == {
-        "plain": "gl", "gltf": "gl", "godot": "gl", "unity": "gl", "unreal": "dx",
-    }  # fmt: skip
+    np.testing.assert_allclose(2 * gl["tangent_y"] - 1, -(2 * dx["tangent_y"] - 1), atol=1e-6)
+    assert {name for name, preset in PRESETS.items() if preset.normal_y == "dx"} == {"unreal"}
 
 
-def test_metallic_roughness_presets_hold_the_specular_and_isotropic_ones_say_so():
-    assert {name for name, preset in PRESETS.items() if preset.specular == "free"} == {"plain"}
-    assert {name for name, preset in PRESETS.items() if preset.lobe == "isotropic"} == {"unreal", "unity"}
+def test_metallic_roughness_presets_hold_the_specular():
+    assert {name for name, preset in PRESETS.items() if preset.specular == "free"} == {"plain", "ntc"}
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_svbrdf_comes_back_from_the_channels_of_every_preset(name):
+    """`decode` is the inverse of `Channels`, but for single precision and ratios of alphas that an engine has not."""
+    preset = get_preset(name)
+    svbrdf = random_svbrdf((16, 16), slope=0.4)
+    channels = Channels(svbrdf, preset.normal_y, dominant_direction(svbrdf))
+    names = {channel for picture in preset.pictures for channel in picture.channels}
+    back = decode({channel: channels[channel] for channel in names}, preset.normal_y)
+    np.testing.assert_allclose(back.normal, svbrdf.normal, atol=1e-4)
+    np.testing.assert_allclose(
+        tensor_from_log(back.log_roughness), tensor_from_log(svbrdf.log_roughness), rtol=4e-3, atol=2e-5
+    )
+    np.testing.assert_allclose(back.specular, svbrdf.specular, atol=2e-4)
+    np.testing.assert_allclose(back.diffuse, svbrdf.diffuse, atol=2e-4)
+
+
+def test_directions_are_as_long_as_the_lobe_is_anisotropic():
+    svbrdf = random_svbrdf((16, 16))
+    plain = Channels(svbrdf)
+    strongest = float(plain["gltf_strength"].max())
+    channels = Channels(svbrdf, strongest=strongest)
+    direction = np.stack([2 * channels["direction_x"] - 1, 2 * channels["direction_y"] - 1], axis=-1)
+    length = np.linalg.norm(direction, axis=-1)
+    np.testing.assert_allclose(length, plain["gltf_strength"] / strongest, atol=SINGLE)
+    assert length.max() == pytest.approx(1.0, abs=SINGLE)
+
+
+def test_a_pyramid_that_stops_early_is_continued_to_one_texel():
+    pyramid = averaged_pyramid(random_svbrdf((12, 20)), levels=2)
+    levels = full_chain([level.svbrdf for level in pyramid.levels])
+    assert [level.size for level in levels] == level_sizes((12, 20))
+    last = pyramid[1].svbrdf
+    np.testing.assert_allclose(levels[-1].diffuse[0, 0], last.diffuse.mean(axis=(0, 1)), rtol=0.3)
+    for level in levels:
+        np.testing.assert_allclose(np.linalg.norm(level.normal, axis=-1), 1.0, atol=1e-5)
+        assert level.is_finite()
+
+
+def test_what_a_preset_cannot_store_is_told_before_the_work(tmp_path):
+    pytest.importorskip("alktx2", reason="the extra [basis] is not installed")
+    with pytest.raises(OutputError, match="multiples of 4 .* found 10x6"):
+        write(averaged_pyramid(random_svbrdf((6, 10))), tmp_path / "set", preset="gltf")
+    with pytest.raises(OutputError, match="8 bits a channel, not 16"):
+        write(averaged_pyramid(random_svbrdf((8, 8))), tmp_path / "set", preset="gltf", bits=16)
+    with pytest.raises(UnknownNameError, match="did you mean 'best'"):
+        write(averaged_pyramid(random_svbrdf((8, 8))), tmp_path / "set", preset="three", compress="bst")
+    assert not list(tmp_path.iterdir())
 
 
 @settings(deadline=None, max_examples=200)
@@ -238,7 +286,7 @@ def test_the_tensor_comes_back_from_the_pictures_of_a_preset(preset):
     svbrdf = random_svbrdf((16, 16), slope=0.4)
     channels = Channels(svbrdf, "gl", dominant_direction(svbrdf))
     direction = np.stack([2 * channels["direction_x"] - 1, 2 * channels["direction_y"] - 1], axis=-1)
-    np.testing.assert_allclose(np.linalg.norm(direction, axis=-1), 1.0, atol=SINGLE)
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     if preset == "gltf":
         major, minor = alphas_from_gltf(channels["gltf_roughness"], channels["gltf_strength"])
     else:
@@ -289,6 +337,7 @@ def test_values_beyond_the_picture_are_clipped_and_counted(tmp_path):
     pyramid[0].svbrdf.specular[0, 0] = 1.5
     record = write(pyramid, tmp_path / "set")
     assert record["pictures"]["specular"]["clipped_values"] == [3, 0, 0]
+    assert record["stored"][0]["appearance_db"] < record["stored"][1]["appearance_db"]
     assert quantise(np.array([-1.0, 2.0]), 8).tolist() == [0, 255]
 
 

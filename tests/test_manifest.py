@@ -52,7 +52,7 @@ def test_the_digest_can_be_checked_from_the_files_alone(tmp_path):
     assert stable_digest(manifest) == manifest["stable_digest"]
     listed = manifest["files"]
     assert set(listed) == set(files(tmp_path / "set")) - {"manifest.json"}
-    assert "preview.png" in listed and "mips/set_baseColor.0.png" in listed
+    assert "preview.png" in listed and "gltf/set.glb" in listed
     for name, said in listed.items():
         data = (tmp_path / "set" / name).read_bytes()
         assert said == {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}

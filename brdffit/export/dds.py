@@ -36,20 +36,8 @@ def write_dds(file: BinaryIO, pixels: PixelFormat, size: tuple[int, int], levels
         ValueError: when a level has the wrong number of bytes, or the format has no DXGI number.
         OSError: when the file cannot be written.
     """
-    if pixels.dxgi is None:
-        raise ValueError(f"DDS has no {pixels.name}")
     sizes = chain(size, count)
-    height, width = size
-    blocks = pixels.edge > 1
-    flags = _CAPS | _HEIGHT | _WIDTH | _PIXEL_FORMAT | (_LINEAR_SIZE if blocks else _PITCH)
-    caps = _TEXTURE
-    if len(sizes) > 1:
-        flags, caps = flags | _MIP_COUNT, caps | _COMPLEX | _MIPMAP
-    pitch = pixels.level_bytes(size) if blocks else width * pixels.block_bytes
-    file.write(struct.pack("<4s7I44x", b"DDS ", 124, flags, height, width, pitch, 0, len(sizes)))
-    file.write(struct.pack("<2I4s5I", 32, _FOURCC, b"DX10", 0, 0, 0, 0, 0))
-    file.write(struct.pack("<5I", caps, _ALL_FACES if faces == 6 else 0, 0, 0, 0))
-    file.write(struct.pack("<5I", pixels.dxgi, _TEXTURE_2D, _CUBE if faces == 6 else 0, 1, 0))
+    file.write(header(pixels, size, len(sizes), faces))
     if faces == 1:
         for level in range(len(sizes)):
             file.write(checked(pixels, sizes, levels, level))
@@ -59,3 +47,26 @@ def write_dds(file: BinaryIO, pixels: PixelFormat, size: tuple[int, int], levels
         for data in whole:
             each = len(data) // faces
             file.write(data[face * each : (face + 1) * each])
+
+
+def header(pixels: PixelFormat, size: tuple[int, int], levels: int, faces: int = 1) -> bytes:
+    """What stands before the data of ``levels`` levels: 148 bytes.
+
+    Raises:
+        ValueError: when the format has no DXGI number.
+    """
+    if pixels.dxgi is None:
+        raise ValueError(f"DDS has no {pixels.name}")
+    height, width = size
+    blocks = pixels.edge > 1
+    flags = _CAPS | _HEIGHT | _WIDTH | _PIXEL_FORMAT | (_LINEAR_SIZE if blocks else _PITCH)
+    caps = _TEXTURE
+    if levels > 1:
+        flags, caps = flags | _MIP_COUNT, caps | _COMPLEX | _MIPMAP
+    pitch = pixels.level_bytes(size) if blocks else width * pixels.block_bytes
+    return (
+        struct.pack("<4s7I44x", b"DDS ", 124, flags, height, width, pitch, 0, levels)
+        + struct.pack("<2I4s5I", 32, _FOURCC, b"DX10", 0, 0, 0, 0, 0)
+        + struct.pack("<5I", caps, _ALL_FACES if faces == 6 else 0, 0, 0, 0)
+        + struct.pack("<5I", pixels.dxgi, _TEXTURE_2D, _CUBE if faces == 6 else 0, 1, 0)
+    )

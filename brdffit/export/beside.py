@@ -1,0 +1,164 @@
+"""What some presets write beside their pictures: .meta files for Unity, MaterialX and USD documents."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from brdffit.export.presets import Preset
+
+
+def write_beside(preset: Preset, folder: Path, name: str, wrap: str, roles: Sequence[str]) -> None:
+    """Write what the preset wants beside the pictures ``roles`` that are in ``folder``."""
+    if preset.beside == "unity":
+        srgb = {picture.role: picture.srgb for picture in preset.pictures}
+        for role in roles:
+            file = f"{name}_{role}.dds"
+            (folder / f"{file}.meta").write_text(unity_meta(file, srgb[role], wrap), encoding="utf-8", newline="\n")
+    elif preset.beside == "documents":
+        for suffix, document in ((".mtlx", materialx), (".usda", usda)):
+            text = document(name, wrap, set(roles))
+            (folder / f"{name}{suffix}").write_text(text, encoding="utf-8", newline="\n")
+
+
+def unity_meta(file: str, srgb: bool, wrap: str) -> str:
+    """Settings of Unity's importer of DDS files: whether a picture is sRGB is said here, not in its header.
+
+    The identifier is made of the file's name, so that baking again keeps what refers to it.
+    """
+    identifier = hashlib.md5(f"brdffit/{file}".encode(), usedforsecurity=False).hexdigest()
+    mode = 0 if wrap == "tile" else 1
+    return f"""fileFormatVersion: 2
+guid: {identifier}
+IHVImageFormatImporter:
+  externalObjects: {{}}
+  textureSettings:
+    serializedVersion: 2
+    filterMode: 2
+    aniso: 8
+    mipBias: 0
+    wrapU: {mode}
+    wrapV: {mode}
+    wrapW: {mode}
+  isReadable: 0
+  sRGBTexture: {int(srgb)}
+  streamingMipmaps: 0
+  streamingMipmapsPriority: 0
+  ignoreMipmapLimit: 0
+  mipmapLimitGroupName:
+  userData:
+  assetBundleName:
+  assetBundleVariant:
+"""
+
+
+def materialx(name: str, wrap: str, roles: set[str]) -> str:
+    """A MaterialX 1.38 document: Standard Surface with the MIP-mapped EXR files as its images.
+
+    Its roughness_anisotropy node has alpha_y / alpha_x = 1 - A. The pictures hold Blender's (1 - ratio) / 0.9, so A is
+    0.9 of them. The rotation is the angle of the interpolated direction, for angles themselves do not filter.
+    """
+    mode = "periodic" if wrap == "tile" else "clamp"
+    identifier = _identifier(name)
+
+    def image(role: str, kind: str) -> str:
+        space = ' colorspace="lin_rec709"' if role == "baseColor" else ""
+        return (
+            f'    <image name="{role}" type="{kind}">\n'
+            f'      <input name="file" type="filename" value="{name}_{role}.exr"{space} />\n'
+            f'      <input name="uaddressmode" type="string" value="{mode}" />\n'
+            f'      <input name="vaddressmode" type="string" value="{mode}" />\n'
+            "    </image>\n"
+        )
+
+    nodes = image("baseColor", "color3") + image("normal", "vector3")
+    nodes += image("roughness", "float") + image("metallic", "float")
+    nodes += '    <normalmap name="bumps" type="vector3">\n      <input name="in" type="vector3" nodename="normal" />\n'
+    nodes += "    </normalmap>\n"
+    outputs = [
+        ("color3", "baseColor", "base_color"), ("vector3", "bumps", "normal"),
+        ("float", "roughness", "specular_roughness"), ("float", "metallic", "metalness"),
+    ]  # fmt: skip
+    if "anisotropic" in roles:
+        nodes += image("anisotropic", "float") + image("direction", "vector3")
+        nodes += _node("multiply", "anisotropy", "float", [("in1", "float", "anisotropic"), ("in2", "float", 0.9)])
+        nodes += _node("multiply", "doubled", "vector3", [("in1", "vector3", "direction"), ("in2", "float", 2.0)])
+        nodes += _node("subtract", "signed", "vector3", [("in1", "vector3", "doubled"), ("in2", "float", 1.0)])
+        for axis in range(3)[:2]:
+            nodes += (
+                f'    <extract name="along_{"xy"[axis]}" type="float">\n'
+                '      <input name="in" type="vector3" nodename="signed" />\n'
+                f'      <input name="index" type="integer" value="{axis}" />\n    </extract>\n'
+            )
+        nodes += _node("atan2", "angle", "float", [("iny", "float", "along_y"), ("inx", "float", "along_x")])
+        nodes += _node("multiply", "turn", "float", [("in1", "float", "angle"), ("in2", "float", 0.15915494)])
+        outputs += [("float", "anisotropy", "specular_anisotropy"), ("float", "turn", "specular_rotation")]
+    declared = "".join(
+        f'    <output name="{to}_out" type="{kind}" nodename="{node}" />\n' for kind, node, to in outputs
+    )
+    inputs = "".join(
+        f'    <input name="{to}" type="{kind}" nodegraph="{identifier}_maps" output="{to}_out" />\n'
+        for kind, _, to in outputs
+    )
+    return (
+        '<?xml version="1.0"?>\n<materialx version="1.38">\n'
+        f'  <nodegraph name="{identifier}_maps">\n{nodes}{declared}  </nodegraph>\n'
+        f'  <standard_surface name="{identifier}_surface" type="surfaceshader">\n'
+        '    <input name="base" type="float" value="1.0" />\n'
+        f"{inputs}  </standard_surface>\n"
+        f'  <surfacematerial name="{identifier}" type="material">\n'
+        f'    <input name="surfaceshader" type="surfaceshader" nodename="{identifier}_surface" />\n'
+        "  </surfacematerial>\n</materialx>\n"
+    )
+
+
+def usda(name: str, wrap: str, roles: set[str]) -> str:
+    """A USD document: UsdPreviewSurface, which has no anisotropy, with the MIP-mapped EXR files as its textures."""
+    mode, identifier = "repeat" if wrap == "tile" else "clamp", _identifier(name)
+    readers, inputs = [], []
+    for role, target, kind, channel in (
+        ("baseColor", "diffuseColor", "color3f", "rgb"), ("normal", "normal", "normal3f", "rgb"),
+        ("roughness", "roughness", "float", "r"), ("metallic", "metallic", "float", "r"),
+    ):  # fmt: skip
+        scale = (
+            "            float4 inputs:scale = (2, 2, 2, 1)\n            float4 inputs:bias = (-1, -1, -1, 0)\n"
+            if role == "normal"
+            else ""
+        )
+        inputs.append(f"            {kind} inputs:{target}.connect = </{identifier}/{role}.outputs:{channel}>\n")
+        readers.append(
+            f'        def Shader "{role}"\n        {{\n'
+            '            uniform token info:id = "UsdUVTexture"\n'
+            f"            asset inputs:file = @./{name}_{role}.exr@\n"
+            f'            token inputs:wrapS = "{mode}"\n            token inputs:wrapT = "{mode}"\n'
+            f'            token inputs:sourceColorSpace = "raw"\n{scale}'
+            f"            float2 inputs:st.connect = </{identifier}/coordinates.outputs:result>\n"
+            f"            {'float' if channel == 'r' else 'float3'} outputs:{channel}\n        }}\n"
+        )
+    return (
+        f'#usda 1.0\n(\n    defaultPrim = "{identifier}"\n)\n\ndef Material "{identifier}"\n{{\n'
+        f"        token outputs:surface.connect = </{identifier}/surface.outputs:surface>\n"
+        '        def Shader "surface"\n        {\n            uniform token info:id = "UsdPreviewSurface"\n'
+        f"{''.join(inputs)}            token outputs:surface\n        }}\n"
+        '        def Shader "coordinates"\n        {\n            uniform token info:id = "UsdPrimvarReader_float2"\n'
+        '            string inputs:varname = "st"\n            float2 outputs:result\n        }\n'
+        f"{''.join(readers)}}}\n"
+    )
+
+
+def _node(kind: str, name: str, of: str, inputs: Sequence[tuple[str, str, str | float]]) -> str:
+    """A MaterialX node whose inputs are other nodes (by name) or numbers."""
+    lines = "".join(
+        f'      <input name="{place}" type="{what}" '
+        + (f'nodename="{value}"' if isinstance(value, str) else f'value="{value}"')
+        + " />\n"
+        for place, what, value in inputs
+    )
+    return f'    <{kind} name="{name}" type="{of}">\n{lines}    </{kind}>\n'
+
+
+def _identifier(name: str) -> str:
+    """A name that MaterialX and USD accept: letters, digits and underscores."""
+    plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
+    return plain if plain and not plain[0].isdigit() else f"_{plain}"

@@ -1,0 +1,342 @@
+"""What each channel of an engine's pictures means, and what of a lobe comes back from them.
+
+What a channel name means is said once, as a property of `Channels`; `decode` is the inverse of them all. Sources: glTF
+2.0 and KHR_materials_anisotropy (Khronos); the standard material of Godot 4; Unreal 5 (GetAnisotropicRoughness) and
+Unity HDRP, alpha (1 +- A); Standard Surface (Autodesk), as MaterialX computes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.roughness import eigenvalues_of_log, perceptual_from_alpha_squared, perceptual_from_log_tensor
+from brdffit.svbrdf import Svbrdf
+from brdffit.textures.conversion import DIELECTRIC_F0
+
+#: Godot's smallest ratio of the two alphas: aspect^2 = 1 - 0.9 anisotropy. Blender's Principled BSDF has the same.
+GODOT_RANGE = 0.9
+
+
+class Channels:
+    """What the channel names of a `Picture` mean for one SVBRDF; each property is (H, W) in [0, 1] before clipping.
+
+    Args:
+        svbrdf: one level, or a band of its rows.
+        normal_y: "gl" or "dx".
+        towards: (x, y) half plane in which anisotropy directions are given: a direction and its opposite are the same
+            lobe, but a texture filter would average them to nothing.
+        strongest: largest strength of glTF in the pyramid, by which lengths of directions are divided.
+    """
+
+    def __init__(
+        self, svbrdf: Svbrdf, normal_y: str = "gl", towards: tuple[float, float] = (1.0, 0.0), strongest: float = 1.0
+    ) -> None:
+        self._svbrdf = svbrdf
+        self._normal_y = normal_y
+        self._towards = towards
+        self._strongest = strongest
+
+    def __getitem__(self, name: str) -> NDArray:
+        stem, _, component = name.rpartition("_")
+        if component in ("r", "g", "b"):
+            return getattr(self, stem)[..., "rgb".index(component)]
+        return getattr(self, name)
+
+    @property
+    def one(self) -> NDArray:
+        """Ones."""
+        return np.ones(self._svbrdf.size, np.float32)
+
+    @property
+    def zero(self) -> NDArray:
+        """Zeros."""
+        return np.zeros(self._svbrdf.size, np.float32)
+
+    @property
+    def occlusion(self) -> NDArray:
+        """Ambient occlusion, 1 where the set has none."""
+        return self.one if self._svbrdf.occlusion is None else self._svbrdf.occlusion
+
+    @property
+    def normal_x(self) -> NDArray:
+        """X of the normal, [-1, 1] on [0, 1]."""
+        return 0.5 + 0.5 * self._svbrdf.normal[..., 0]
+
+    @property
+    def normal_y(self) -> NDArray:
+        """Y of the normal in the preset's convention, [-1, 1] on [0, 1]."""
+        return 0.5 + (0.5 if self._normal_y == "gl" else -0.5) * self._svbrdf.normal[..., 1]
+
+    @property
+    def normal_z(self) -> NDArray:
+        """Z of the normal, [-1, 1] on [0, 1]."""
+        return 0.5 + 0.5 * self._svbrdf.normal[..., 2]
+
+    @property
+    def roughness(self) -> NDArray:
+        """Perceptual roughness of the isotropic lobe with the same determinant."""
+        return perceptual_from_log_tensor(self._svbrdf.log_roughness)
+
+    @property
+    def smoothness(self) -> NDArray:
+        """1 - perceptual roughness."""
+        return 1.0 - self.roughness
+
+    @property
+    def specular(self) -> NDArray:
+        """(H, W, 3) scale of the lobe."""
+        return self._svbrdf.specular
+
+    @property
+    def diffuse(self) -> NDArray:
+        """(H, W, 3) diffuse albedo."""
+        return self._svbrdf.diffuse
+
+    @cached_property
+    def _metallic_roughness(self) -> tuple[NDArray, NDArray]:
+        return base_color_and_metallic(self._svbrdf.specular, self._svbrdf.diffuse)
+
+    @property
+    def base_color(self) -> NDArray:
+        """(H, W, 3) base colour of the metallic-roughness model."""
+        return self._metallic_roughness[0]
+
+    @property
+    def metallic(self) -> NDArray:
+        """Metallic of the metallic-roughness model."""
+        return self._metallic_roughness[1]
+
+    @cached_property
+    def _alphas(self) -> tuple[NDArray, NDArray]:
+        major, minor = eigenvalues_of_log(self._svbrdf.log_roughness)
+        return np.sqrt(major), np.sqrt(minor)
+
+    @cached_property
+    def _direction(self) -> NDArray:
+        direction = anisotropy_direction(self._svbrdf.normal, self._svbrdf.log_roughness)
+        along = direction[..., 0] * self._towards[0] + direction[..., 1] * self._towards[1]
+        return np.where(along[..., None] < 0.0, -direction, direction)
+
+    @cached_property
+    def _scaled(self) -> NDArray:
+        """Directions as long as the lobe is anisotropic, at most 1.
+
+        Engines bring them to unit length, so a length is free to choose. This one fades the noise of directions where
+        lobes are round: blocks spend no bits on it, and between texels the clearer direction wins.
+        """
+        return self._direction * (self.gltf_strength / max(self._strongest, 1e-6))[..., None]
+
+    @property
+    def direction_x(self) -> NDArray:
+        """X of the direction of larger roughness, [-1, 1] on [0, 1]; its length means nothing, see `_scaled`."""
+        return 0.5 + 0.5 * self._scaled[..., 0]
+
+    @property
+    def direction_y(self) -> NDArray:
+        """Y of that direction, +Y up whatever the convention of the normals."""
+        return 0.5 + 0.5 * self._scaled[..., 1]
+
+    @property
+    def tangent_x(self) -> NDArray:
+        """X of the unit direction of larger roughness, for engines that read it as they read a normal."""
+        return 0.5 + 0.5 * self._direction[..., 0]
+
+    @property
+    def tangent_y(self) -> NDArray:
+        """Y of that direction, in the preset's convention."""
+        return 0.5 + (0.5 if self._normal_y == "gl" else -0.5) * self._direction[..., 1]
+
+    @property
+    def half(self) -> NDArray:
+        """Code of 0 where [-1, 1] lies on [0, 1]: Z of a tangent."""
+        return np.full(self._svbrdf.size, 0.5, np.float32)
+
+    @property
+    def mean_roughness(self) -> NDArray:
+        """r of Unreal and HDRP: r^2 is the arithmetic mean of the two alphas."""
+        return np.sqrt(0.5 * (self._alphas[0] + self._alphas[1]))
+
+    @property
+    def mean_smoothness(self) -> NDArray:
+        """1 - r of HDRP."""
+        return 1.0 - self.mean_roughness
+
+    @property
+    def mean_anisotropy(self) -> NDArray:
+        """A of Unreal, HDRP and Filament: the alphas are r^2 (1 + A) and r^2 (1 - A); never negative here."""
+        return (self._alphas[0] - self._alphas[1]) / (self._alphas[0] + self._alphas[1])
+
+    @property
+    def gltf_roughness(self) -> NDArray:
+        """r of glTF: alpha_b = r^2 is the smaller alpha."""
+        return perceptual_from_alpha_squared(np.square(self._alphas[1]))
+
+    @property
+    def gltf_strength(self) -> NDArray:
+        """Strength s of KHR_materials_anisotropy; see `gltf_strength_from_alphas`."""
+        return gltf_strength_from_alphas(*self._alphas)
+
+    @property
+    def godot_strength(self) -> NDArray:
+        """Anisotropy of Godot, alpha_y / alpha_x = 1 - 0.9 s (a ratio below 0.1 is more than Godot has)."""
+        return (1.0 - self._alphas[1] / self._alphas[0]) / GODOT_RANGE
+
+    @property
+    def ratio_strength(self) -> NDArray:
+        """s = 1 - alpha_minor / alpha_major; with roughness r: alpha_major, alpha_minor = r^2 (1 - s)^(-1/2, 1/2)."""
+        return 1.0 - self._alphas[1] / self._alphas[0]
+
+
+def gltf_strength_from_alphas(major: NDArray, minor: NDArray) -> NDArray:
+    """Strength s of KHR_materials_anisotropy of the two alphas (...).
+
+    Its alpha_t = mix(alpha, 1, s^2) = alpha + (1 - alpha) s^2 with alpha = alpha_b, so
+    s^2 = (alpha_t - alpha_b) / (1 - alpha_b).  An alpha above 1 has no place in it and is held at 1.
+    """
+    major, minor = np.minimum(major, 1.0), np.minimum(minor, 1.0)
+    return np.sqrt((major - minor) / np.maximum(1.0 - minor, np.finfo(np.float32).tiny))
+
+
+def alphas_from_gltf(roughness: NDArray, strength: NDArray) -> tuple[NDArray, NDArray]:
+    """(alpha_t, alpha_b) of roughness and strength as KHR_materials_anisotropy has them: the inverse of the above."""
+    minor = np.square(roughness)
+    return minor + (1.0 - minor) * np.square(strength), minor
+
+
+def decode(channels: Mapping[str, NDArray], normal_y: str = "gl") -> Svbrdf:
+    """The SVBRDF that an engine makes of channels, by their names in `Channels`: the inverse of that class.
+
+    Args:
+        channels: (H, W) each, linear, in [0, 1].
+        normal_y: "gl" or "dx".
+
+    Returns:
+        An SVBRDF of GGX; what the channels do not say is 1 (specular) or as if isotropic.
+    """
+    sign = 1.0 if normal_y == "gl" else -1.0
+    xy = np.stack([2.0 * channels["normal_x"] - 1.0, sign * (2.0 * channels["normal_y"] - 1.0)], axis=-1)
+    # Two channels, and engines that read two of three, take Z from unit length.
+    z = np.sqrt(np.maximum(1.0 - np.square(xy).sum(axis=-1), 0.0))
+    if "normal_z" in channels:
+        z = np.maximum(2.0 * channels["normal_z"] - 1.0, 0.0)
+    normal = np.concatenate([xy, z[..., None]], axis=-1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
+    major, minor = (np.maximum(alpha, 1e-4) for alpha in _alphas_of(channels))
+    if "direction_x" in channels:
+        direction = np.stack([channels["direction_x"], channels["direction_y"]], axis=-1) * 2.0 - 1.0
+    elif "tangent_x" in channels:
+        direction = np.stack([2.0 * channels["tangent_x"] - 1.0, sign * (2.0 * channels["tangent_y"] - 1.0)], axis=-1)
+    else:
+        direction = np.broadcast_to([1.0, 0.0], xy.shape)
+    length = np.linalg.norm(direction, axis=-1, keepdims=True)
+    direction = np.where(length > 1e-6, direction / np.maximum(length, 1e-6), [1.0, 0.0])
+    if "specular_r" in channels:
+        specular, diffuse = (np.stack([channels[f"{name}_{c}"] for c in "rgb"], -1) for name in ("specular", "diffuse"))
+    else:
+        base, metallic = np.stack([channels[f"base_color_{c}"] for c in "rgb"], -1), channels["metallic"][..., None]
+        specular, diffuse = DIELECTRIC_F0 * (1.0 - metallic) + base * metallic, base * (1.0 - metallic)
+    return Svbrdf(
+        normal=normal.astype(np.float32),
+        log_roughness=_log_tensor(normal, direction, major, minor).astype(np.float32),
+        specular=specular.astype(np.float32),
+        diffuse=diffuse.astype(np.float32),
+    )
+
+
+def _alphas_of(channels: Mapping[str, NDArray]) -> tuple[NDArray, NDArray]:
+    """The two alphas of whichever roughness and strength the channels hold."""
+    if "gltf_roughness" in channels:
+        roughness = channels["gltf_roughness"]
+        return alphas_from_gltf(roughness, channels.get("gltf_strength", np.zeros_like(roughness)))
+    if "mean_roughness" in channels or "mean_smoothness" in channels:
+        mean = channels["mean_roughness"] if "mean_roughness" in channels else 1.0 - channels["mean_smoothness"]
+        alpha, strength = np.square(mean), channels.get("mean_anisotropy", np.zeros_like(mean))
+        return alpha * (1.0 + strength), alpha * (1.0 - strength)
+    alpha = np.square(channels["roughness"])
+    ratio = 1.0 - channels.get("ratio_strength", GODOT_RANGE * channels.get("godot_strength", np.zeros_like(alpha)))
+    root = np.sqrt(np.maximum(ratio, 1e-6))
+    return alpha / root, alpha * root
+
+
+def _log_tensor(normal: NDArray, direction: NDArray, major: NDArray, minor: NDArray) -> NDArray:
+    """log Sigma (..., 3) of alphas (...) whose larger one lies along a direction: inverse of `anisotropy_direction`.
+
+    The tangent above the direction goes back into the frame of the normal, R'w = w_xy - (w.n_xy / (1 + z) + w_z) n_xy,
+    and its angle, doubled, turns the half difference of the logarithms of alpha^2.
+    """
+    tangent = tangent_above(np.concatenate([normal[..., :2], np.maximum(normal[..., 2:], 1e-3)], axis=-1), direction)
+    k = (tangent[..., :2] * normal[..., :2]).sum(axis=-1) / (1.0 + normal[..., 2]) + tangent[..., 2]
+    e = tangent[..., :2] - k[..., None] * normal[..., :2]
+    twice = 2.0 * np.arctan2(e[..., 1], e[..., 0])
+    mean, half = np.log(major) + np.log(minor), np.log(major) - np.log(minor)
+    return np.stack([mean + half * np.cos(twice), mean - half * np.cos(twice), half * np.sin(twice)], axis=-1)
+
+
+def anisotropy_direction(normal: NDArray, log_roughness: NDArray) -> NDArray:
+    """Direction of larger roughness as engines read it: unit (..., 2), its sign left open.
+
+    The eigenvector of log Sigma in the frame of the normal stands at half the angle of (a - b, 2c); the rotation that
+    takes z to n lifts it into the tangent plane; engines lay tangents into the plane of the geometry, so it is
+    projected there along z.  Inverse: `tangent_above`.
+    """
+    angle = 0.5 * np.arctan2(2.0 * log_roughness[..., 2], log_roughness[..., 0] - log_roughness[..., 1])
+    e_x, e_y = np.cos(angle), np.sin(angle)
+    x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
+    # R e = e - (e.n_xy) (n_xy / (1 + z), 1): what the shortest rotation does to a vector of the plane.
+    k = (e_x * x + e_y * y) / (1.0 + np.maximum(z, 0.0))
+    t_x, t_y = e_x - k * x, e_y - k * y
+    length = np.hypot(t_x, t_y)
+    safe = np.where(length > 1e-6, length, 1.0)
+    return np.stack([np.where(length > 1e-6, t_x / safe, e_x), np.where(length > 1e-6, t_y / safe, e_y)], axis=-1)
+
+
+def tangent_above(normal: NDArray, direction: NDArray) -> NDArray:
+    """Unit tangent (..., 3) at right angles to the normal (n_z > 0) that lies straight above a direction (..., 2)."""
+    rise = -(direction * normal[..., :2]).sum(axis=-1) / normal[..., 2]
+    tangent = np.concatenate([direction, rise[..., None]], axis=-1)
+    return tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
+
+
+def base_color_and_metallic(specular: NDArray, diffuse: NDArray) -> tuple[NDArray, NDArray]:
+    """Base colour (..., 3) and metallic (...) of specular and diffuse colours (..., 3), all linear, in [0, 1].
+
+    The model is, per channel, s = 0.04 (1-m) + base m and d = base (1-m).  With q = 1-m and base = d/q:
+    0.04 q^2 - (s + d) q + d = 0.  It is linear in s and d, so it holds for the means over the channels too, and one q
+    serves all three.  Where s < 0.04 both roots may lie in [0, 1] (a dark metal looks like a dark dielectric): the one
+    that explains the channels better is taken, the dielectric when they tie.  Then base is the least-squares answer of
+    both equations, (d q + (s - 0.04 q) m) / (q^2 + m^2), whose denominator is at least 1/2: nothing is divided by zero
+    for black or noisy colours, and colours of the model itself come back as they were.
+    """
+    s = specular.mean(axis=-1, dtype=np.float64)
+    d = diffuse.mean(axis=-1, dtype=np.float64)
+    total = s + d
+    root = np.sqrt(np.maximum(np.square(total) - 4.0 * DIELECTRIC_F0 * d, 0.0))
+    # The smaller root in the form without cancellation.
+    metal = np.clip(2.0 * d / np.maximum(total + root, np.finfo(np.float32).tiny), 0.0, 1.0)
+    dielectric = (total + root) / (2.0 * DIELECTRIC_F0)
+    q = metal
+    # Only for dark colours is the larger root a share at all; 5% more, for those that noise has pushed out.
+    dark = dielectric <= 1.05
+    if dark.any():
+        tie = 1e-4  # of reflectance: well below one code of an 8-bit picture
+        other = np.minimum(dielectric[dark], 1.0)
+        misfits = [_misfit(specular[dark], diffuse[dark], share) for share in (other, metal[dark])]
+        q[dark] = np.where(misfits[0] <= misfits[1] + tie * tie, other, metal[dark])
+    return np.clip(_base_color(specular, diffuse, q), 0.0, 1.0), (1.0 - q).astype(np.float32)
+
+
+def _base_color(specular: NDArray, diffuse: NDArray, q: NDArray) -> NDArray:
+    q = q[..., None].astype(np.float32)
+    m = 1.0 - q
+    return (diffuse * q + (specular - DIELECTRIC_F0 * q) * m) / (q * q + m * m)
+
+
+def _misfit(specular: NDArray, diffuse: NDArray, q: NDArray) -> NDArray:
+    base = np.clip(_base_color(specular, diffuse, q), 0.0, 1.0)
+    q = q[..., None].astype(np.float32)
+    of_specular = DIELECTRIC_F0 * q + base * (1.0 - q) - specular
+    return (np.square(of_specular) + np.square(base * q - diffuse)).sum(axis=-1)

@@ -1,0 +1,135 @@
+"""A GLB of one square whose material holds our own MIP levels: KTX2 pictures under KHR_texture_basisu.
+
+Source: glTF 2.0, KHR_texture_basisu, KHR_materials_anisotropy (Khronos).
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+_ARRAY, _ELEMENTS = 34962, 34963
+_FLOAT, _UNSIGNED_SHORT = 5126, 5123
+_LINEAR, _TRILINEAR, _REPEAT, _CLAMP = 9729, 9987, 10497, 33071
+
+
+def write_glb(file: BinaryIO, textures: Mapping[str, bytes], name: str, size: tuple[int, int], wrap: str) -> None:
+    """Write a GLB.
+
+    Args:
+        file: opened for writing in binary.
+        textures: KTX2 files by role: baseColor, normal, occlusionRoughnessMetallic and, if there is one, anisotropy.
+        name: of the material.
+        size: (height, width) of level 0; the square becomes a rectangle of these proportions, its longer side 2 wide.
+        wrap: "tile" or "clamp".
+
+    Raises:
+        OSError: when the file cannot be written.
+    """
+    binary = _Binary()
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "brdffit"},
+        "extensionsUsed": ["KHR_texture_basisu"],
+        "extensionsRequired": ["KHR_texture_basisu"],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": name}],
+        "meshes": [{"primitives": [_rectangle(binary, size)]}],
+        "accessors": binary.accessors,
+        "bufferViews": binary.views,
+        "samplers": [
+            {
+                "magFilter": _LINEAR,
+                "minFilter": _TRILINEAR,
+                "wrapS": _REPEAT if wrap == "tile" else _CLAMP,
+                "wrapT": _REPEAT if wrap == "tile" else _CLAMP,
+            }
+        ],
+    }
+    index = {role: place for place, role in enumerate(textures)}
+    document["images"] = [
+        {"bufferView": binary.add(data), "mimeType": "image/ktx2", "name": f"{name}_{role}"}
+        for role, data in textures.items()
+    ]
+    document["textures"] = [
+        {"sampler": 0, "extensions": {"KHR_texture_basisu": {"source": place}}} for place in index.values()
+    ]
+    packed = {"index": index["occlusionRoughnessMetallic"]}
+    material: dict[str, Any] = {
+        "name": name,
+        "pbrMetallicRoughness": {"baseColorTexture": {"index": index["baseColor"]}, "metallicRoughnessTexture": packed},
+        "normalTexture": {"index": index["normal"]},
+        "occlusionTexture": packed,
+    }
+    if "anisotropy" in index:
+        document["extensionsUsed"].append("KHR_materials_anisotropy")
+        document["extensionsUsed"].sort()
+        material["extensions"] = {
+            "KHR_materials_anisotropy": {
+                "anisotropyStrength": 1.0,
+                "anisotropyRotation": 0.0,
+                "anisotropyTexture": {"index": index["anisotropy"]},
+            }
+        }
+    document["materials"] = [material]
+    document["buffers"] = [{"byteLength": len(binary.data)}]
+    text = json.dumps(document, separators=(",", ":"), sort_keys=True).encode()
+    text += b" " * (-len(text) % 4)
+    file.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary.data)))
+    file.write(struct.pack("<I4s", len(text), b"JSON") + text)
+    file.write(struct.pack("<I4s", len(binary.data), b"BIN\0"))
+    file.write(binary.data)
+
+
+class _Binary:
+    """The binary chunk and what the document says of its parts."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict[str, int]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def add(self, data: bytes, target: int | None = None) -> int:
+        """Append a buffer view; its index."""
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)}
+        self.views.append(view if target is None else {**view, "target": target})
+        self.data += data + bytes(-len(data) % 4)
+        return len(self.views) - 1
+
+    def add_array(self, array: NDArray, kind: str, bounds: bool = False) -> int:
+        """Append an accessor of an array of vertices, or of indices; its index."""
+        indices = array.dtype == np.uint16
+        accessor: dict[str, Any] = {
+            "bufferView": self.add(array.tobytes(), _ELEMENTS if indices else _ARRAY),
+            "componentType": _UNSIGNED_SHORT if indices else _FLOAT,
+            "count": len(array),
+            "type": kind,
+        }
+        if bounds:
+            accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+
+def _rectangle(binary: _Binary, size: tuple[int, int]) -> dict[str, Any]:
+    """A rectangle that faces +Z, row 0 of the pictures at its top."""
+    height, width = np.array(size) / max(size)
+    position = np.array([[-width, -height, 0], [width, -height, 0], [width, height, 0], [-width, height, 0]], "<f4")
+    normal = np.tile(np.array([0, 0, 1], "<f4"), (4, 1))
+    tangent = np.tile(np.array([1, 0, 0, 1], "<f4"), (4, 1))
+    coordinates = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], "<f4")
+    return {
+        "attributes": {
+            "POSITION": binary.add_array(position, "VEC3", bounds=True),
+            "NORMAL": binary.add_array(normal, "VEC3"),
+            "TANGENT": binary.add_array(tangent, "VEC4"),
+            "TEXCOORD_0": binary.add_array(coordinates, "VEC2"),
+        },
+        "indices": binary.add_array(np.array([0, 1, 2, 0, 2, 3], np.uint16), "SCALAR"),
+        "material": 0,
+    }

@@ -1,0 +1,246 @@
+"""Pictures of a preset: from levels to channels, codes and blocks, and into the files that an engine loads.
+
+One picture after another, all its levels at a time. What is written is decoded again and held against what was baked,
+see ``cost``.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.colour import encode_srgb
+from brdffit.errors import OutputError
+from brdffit.export.beside import write_beside
+from brdffit.export.channels import Channels, gltf_strength_from_alphas
+from brdffit.export.compression import check_compression, encode_level, encode_uastc, require_basis
+from brdffit.export.cost import Cost
+from brdffit.export.dds import write_dds
+from brdffit.export.formats import FORMATS, PixelFormat
+from brdffit.export.gltf import write_glb
+from brdffit.export.ktx2 import write_ktx2
+from brdffit.export.presets import Picture, Preset
+from brdffit.files.image_io import write_mip_exr, write_png
+from brdffit.footprint import filter_channels, get_pixel_filter
+from brdffit.methods import Pyramid
+from brdffit.roughness import eigenvalues_of_log, log_from_tensor, tensor_from_log
+from brdffit.svbrdf import Svbrdf, level_sizes
+
+_TEXELS_PER_BAND = 1 << 20
+#: Float arithmetic may leave [0, 1] by a few ulps where nothing is lost.
+_SLACK = 1e-5
+
+
+def check_preset(preset: Preset, bits: int = 8, size: tuple[int, int] | None = None) -> None:
+    """See, before the work, that a preset can be written.
+
+    Raises:
+        MissingEncoderError: when its encoder is not installed.
+        OutputError: when it cannot store so many bits, or pictures of ``size`` (height, width).
+    """
+    if bits not in (8, 16):
+        raise ValueError(f"bits is {bits}, expected 8 or 16")
+    if not any(picture.pixels == "uastc" for picture in preset.pictures):
+        return
+    require_basis(f"The preset '{preset.name}'")
+    if bits == 16:
+        raise OutputError(
+            f"The preset '{preset.name}' stores UASTC, which has 8 bits a channel, not 16: leave --bits out, or choose "
+            "'three' for 16-bit floats in KTX2."
+        )
+    if preset.container == "glb" and size is not None and (size[0] % 4 or size[1] % 4):
+        raise OutputError(
+            f"The preset '{preset.name}' needs sides that are multiples of 4 (KHR_texture_basisu), found "
+            f"{size[1]}x{size[0]}: resize the maps, or choose the preset 'three'."
+        )
+
+
+def write_pictures(
+    pyramid: Pyramid, fresh: Path, name: str, preset: Preset, bits: int = 8, compress: str = "good"
+) -> dict[str, Any]:
+    """Write the files of a preset below ``fresh``.
+
+    Args:
+        pyramid: what a method returned.
+        fresh: folder of the set.
+        name: of the set, in the files' names.
+        preset: what to write.
+        bits: 8; or 16: PNG of 16 bits, and floats of 16 bits instead of blocks in DDS and KTX2.
+        compress: one of COMPRESSIONS, how long encoders of blocks may take.
+
+    Returns:
+        For the manifest: ``pictures``, what is said of each role, and ``stored``, what is left of the lobes.
+    """
+    check_preset(preset, bits)
+    check_compression(compress)
+    # A PNG chain may stop where the pyramid does; readers of containers refuse that.
+    levels = [level.svbrdf for level in pyramid.levels]
+    if preset.container != "png":
+        levels = full_chain(levels)
+    folder = fresh / ("mips" if preset.container == "png" else preset.name)
+    folder.mkdir()
+    drawing, cost = Drawing(levels, preset.normal_y), Cost(levels[: len(pyramid)], preset.normal_y)
+    records: dict[str, Any] = {}
+    textures: dict[str, bytes] = {}
+    for picture in preset.pictures:
+        if picture.needs == "anisotropy" and pyramid.options.lobe != "anisotropic":
+            continue
+        if picture.needs == "occlusion" and levels[0].occlusion is None:
+            continue
+        pixels = pixels_of(picture, preset, bits)
+        is_float = preset.container == "exr" or (pixels is not None and pixels.is_float)
+        srgb = picture.srgb and not is_float
+        encoded, clipped = drawing.draw(picture, srgb, None if is_float else bits)
+        path = folder / f"{name}_{picture.role}.{preset.container}"
+        data = None if pixels is None else to_blocks(pixels, encoded, compress)
+        if pixels is None or data is None:
+            _write_plain(path, picture, encoded)
+        elif preset.container == "glb":
+            file = io.BytesIO()
+            write_ktx2(file, pixels, levels[0].size, data.__getitem__, zstd=preset.zstd)
+            textures[picture.role] = file.getvalue()
+        else:
+            with path.open("wb") as stream:
+                if preset.container == "dds":
+                    write_dds(stream, pixels, levels[0].size, data.__getitem__)
+                else:
+                    write_ktx2(stream, pixels, levels[0].size, data.__getitem__, zstd=preset.zstd)
+        records[picture.role] = {
+            "channels": picture.channels,
+            "srgb": srgb,
+            "pixels": f"unorm{bits}" if pixels is None and not is_float else "float" if pixels is None else pixels.name,
+            "clipped_values": clipped,
+            **cost.add(picture, srgb, encoded, pixels, data),
+        }
+    if preset.container == "glb":
+        with (folder / f"{name}.glb").open("wb") as stream:
+            write_glb(stream, textures, name, levels[0].size, levels[0].wrap)
+    write_beside(preset, folder, name, levels[0].wrap, list(records))
+    return {"pictures": records, "stored": cost.figures()}
+
+
+def pixels_of(picture: Picture, preset: Preset, bits: int) -> PixelFormat | None:
+    """The pixel format of a picture; None where its container has none to choose (PNG, EXR)."""
+    if preset.container in ("png", "exr"):
+        return None
+    if bits == 16:
+        return FORMATS["rgba16f"]
+    name = picture.pixels
+    if name == "uastc" and len(picture.channels) == 4:
+        name = "uastc_rgba"
+    return FORMATS[name + ("_srgb" if picture.srgb else "")]
+
+
+def to_blocks(pixels: PixelFormat, levels: Sequence[NDArray], compress: str) -> list[bytes]:
+    """Data of each level (H, W, C), uint8 or float32, in a pixel format."""
+    if pixels.vulkan != 0:
+        return [encode_level(pixels, level, compress) for level in levels]
+    wide = []
+    for level in levels:
+        full = np.full((*level.shape[:2], 4), 255, np.uint8)
+        full[..., : level.shape[2]] = level
+        wide.append(full)
+    return encode_uastc(pixels, wide, compress)
+
+
+class Drawing:
+    """Draws pictures of levels: one half plane for all directions, and one scale for their lengths.
+
+    Trilinear filtering would otherwise mix a direction with its opposite.
+    """
+
+    def __init__(self, levels: Sequence[Svbrdf], normal_y: str) -> None:
+        self._levels = levels
+        self._normal_y = normal_y
+        self._towards = dominant_direction(levels[0])
+        self._strongest = max(strongest_anisotropy(level) for level in levels)
+
+    def draw(self, picture: Picture, srgb: bool, bits: int | None) -> tuple[list[NDArray], list[int]]:
+        """(H, W, C) of each level, and how many values of it lay outside [0, 1] and were clipped.
+
+        Args:
+            picture: which channels.
+            srgb: encode the first three of them.
+            bits: 8 or 16: unsigned codes; None: float32.
+        """
+        pictures, counts = [], []
+        for level in self._levels:
+            out = np.empty((*level.size, len(picture.channels)), np.float32 if bits is None else f"uint{bits}")
+            clipped = 0
+            for rows in bands(level.size):
+                channels = Channels(rows_of(level, rows), self._normal_y, self._towards, self._strongest)
+                for place, channel in enumerate(picture.channels):
+                    values = channels[channel]
+                    clipped += int(np.count_nonzero((values < -_SLACK) | (values > 1.0 + _SLACK)))
+                    values = encode_srgb(values) if srgb and place < 3 else values
+                    out[rows, :, place] = np.clip(values, 0.0, 1.0) if bits is None else quantise(values, bits)
+            pictures.append(out)
+            counts.append(clipped)
+        return pictures, counts
+
+
+def quantise(values: NDArray, bits: int) -> NDArray:
+    """[0, 1] to codes of uint8 or uint16, halves upwards; values outside are clipped."""
+    top = 2**bits - 1
+    return np.floor(np.clip(values, 0.0, 1.0) * top + 0.5).astype(f"uint{bits}")
+
+
+def dominant_direction(svbrdf: Svbrdf) -> tuple[float, float]:
+    """Unit direction of larger roughness that most texels agree on: mean of log Sigma's deviator, at half its angle."""
+    a, b, c = svbrdf.log_roughness.reshape(-1, 3).mean(axis=0, dtype=np.float64)
+    angle = 0.5 * np.arctan2(2.0 * c, a - b)
+    return float(np.cos(angle)), float(np.sin(angle))
+
+
+def strongest_anisotropy(svbrdf: Svbrdf) -> float:
+    """The largest strength of glTF that a level has."""
+    major, minor = eigenvalues_of_log(svbrdf.log_roughness)
+    return float(gltf_strength_from_alphas(np.sqrt(major), np.sqrt(minor)).max())
+
+
+def full_chain(levels: Sequence[Svbrdf]) -> list[Svbrdf]:
+    """Levels down to 1x1: those that are missing are box averages of the last, its tensor and not its logarithm."""
+    levels = list(levels)
+    sizes = level_sizes(levels[0].size)
+    box, last = get_pixel_filter("box"), levels[-1]
+    for size in sizes[len(levels) :]:
+        averaged: dict[str, NDArray] = {}
+        for name, array in last.arrays().items():
+            source = tensor_from_log(array) if name == "log_roughness" else array
+            source = source if source.ndim == 3 else source[..., None]
+            found = filter_channels(np.ascontiguousarray(source, np.float32), size, box, last.wrap)
+            averaged[name] = (
+                log_from_tensor(found) if name == "log_roughness" else found.reshape(*size, *array.shape[2:])
+            )
+        length = np.linalg.norm(averaged["normal"], axis=-1, keepdims=True)
+        up = np.array([0.0, 0.0, 1.0], np.float32)
+        averaged["normal"] = np.where(length > 1e-6, averaged["normal"] / np.maximum(length, 1e-6), up)
+        levels.append(last.replace(**averaged))
+    return levels
+
+
+def bands(size: tuple[int, int]) -> Iterator[slice]:
+    """Rows of a picture, so many at a time that what is derived of them stays small."""
+    rows = max(1, _TEXELS_PER_BAND // size[1])
+    for start in range(0, size[0], rows):
+        yield slice(start, min(start + rows, size[0]))
+
+
+def rows_of(svbrdf: Svbrdf, rows: slice) -> Svbrdf:
+    """Some rows of a level."""
+    return svbrdf.replace(**{field: array[rows] for field, array in svbrdf.arrays().items()})
+
+
+def _write_plain(path: Path, picture: Picture, levels: Sequence[NDArray]) -> None:
+    """A PNG a level, or one EXR with all of them."""
+    if path.suffix == ".png":
+        for level, codes in enumerate(levels):
+            write_png(path.with_name(f"{path.stem}.{level}.png"), codes)
+    else:
+        names = {1: ("Y",), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}[len(picture.channels)]
+        write_mip_exr(path, levels, names)
