@@ -21,7 +21,7 @@ from brdffit.methods import Level, LobeMethod, Progress, Pyramid
 from brdffit.models import Model, get_model
 from brdffit.options import LobeOptions
 from brdffit.roughness import alpha_squared_from_perceptual, perceptual_from_log_tensor, tensor_from_log
-from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.svbrdf import LEAST_WEIGHT, Svbrdf, level_sizes
 
 #: Averages of single-precision unit vectors are known to about this much of their squared length; a variance below
 #: it is rounding, and is taken off, or a flat mirror (alpha^2 = 4e-6) would come out dull.
@@ -105,7 +105,14 @@ class FilteringMethod(LobeMethod):
         carried = _carried_channels(svbrdf, model)
         sizes = level_sizes(svbrdf.size, options.levels)
         kept = 1 if options.keep_level_0 or self.leaves_level_0 else 0
-        images = own | carried
+        # Opacity weighs what has no colour to carry it; colours come weighted.
+        weight = None if svbrdf.opacity is None else svbrdf.opacity[..., None]
+        scalars = {name: carried.pop(name) for name in ("occlusion", "shape") if name in carried}
+        weighed = own | scalars
+        if weight is not None:
+            weighed = {name: image * weight for name, image in weighed.items()}
+            carried["opacity"] = weight
+        images = weighed | carried
         pyramids = [iter_pyramid(image, sizes[kept:], pixel_filter, svbrdf.wrap) for image in images.values()]
         levels: list[Level] = []
         for mip_level, (height, width) in enumerate(sizes):
@@ -121,9 +128,13 @@ class FilteringMethod(LobeMethod):
                     least_alpha_squared=options.min_roughness**4,
                 )
                 filtered = dict(zip(images, pool.map(next, pyramids), strict=True))
+                if weight is not None:
+                    share = np.maximum(filtered["opacity"], np.float32(LEAST_WEIGHT))
+                    filtered |= {name: filtered[name] / share for name in weighed}
                 normal, log_roughness = self.finish_level({name: filtered[name] for name in own}, context, pool)
-                colours: dict[str, Any] = {name: _in_range(name, filtered[name]) for name in carried}
+                colours: dict[str, Any] = {name: _in_range(name, filtered[name]) for name in scalars | carried}
                 level = Svbrdf(normal, log_roughness, wrap=svbrdf.wrap, **colours)
+                level.alpha, level.cutoff = svbrdf.alpha, svbrdf.cutoff
             levels.append(Level(_relabelled(level, model), seconds=time.perf_counter() - started))
             started = time.perf_counter()
             if progress is not None:

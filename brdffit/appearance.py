@@ -130,6 +130,10 @@ class LobePyramid:
 
     levels: Sequence[Svbrdf]
 
+    def __post_init__(self) -> None:
+        # A cut-out is seen before a black ground, here as in the reference.
+        object.__setattr__(self, "levels", [level.over_black() for level in self.levels])
+
     @property
     def base_size(self) -> tuple[int, int]:
         """(height, width) of level 0."""

@@ -34,12 +34,15 @@ class Material:
     """What a method is given: everything that a texture set holds.
 
     Attributes:
-        svbrdf: one lobe a texel, with height and occlusion where the set has them.
-        opacity: (H, W) weight of each texel in [0, 1], or None where all is opaque.
+        svbrdf: one lobe a texel, with height, occlusion and opacity where the set has them.
     """
 
     svbrdf: Svbrdf
-    opacity: NDArray | None = None
+
+    @property
+    def opacity(self) -> NDArray | None:
+        """(H, W) weight of each texel in [0, 1], or None where all is opaque."""
+        return self.svbrdf.opacity
 
     @property
     def height(self) -> NDArray | None:
@@ -163,7 +166,7 @@ class Baked:
 
 
 def lobe_images(pyramid: Pyramid) -> list[Image]:
-    """Normal, roughness tensor in alpha^2, specular and diffuse colour, and the shape where the model has one."""
+    """Normal, roughness tensor in alpha^2, specular and diffuse colour; shape and opacity where there are such."""
     levels = [level.svbrdf for level in pyramid.levels]
 
     sizes = [level.size for level in levels]
@@ -176,6 +179,9 @@ def lobe_images(pyramid: Pyramid) -> list[Image]:
     shapes = [level.shape for level in levels]
     if shapes[0] is not None:
         images.append(Image("shape", ("Y",), sizes, lambda k, rows: shapes[k][rows, :, None]))  # type: ignore[index]
+    opacities = [level.opacity for level in levels]
+    if opacities[0] is not None:
+        images.append(Image("opacity", ("A",), sizes, lambda k, rows: opacities[k][rows, :, None]))  # type: ignore[index]
     return images
 
 
@@ -212,10 +218,13 @@ class LobeMethod:
 
     def bake(self, material: Material, options: Any, progress: Progress | None = None) -> Baked:
         """Bake a material, see ``Method``."""
-        return Baked.of_lobes(self.bake_lobes(material.svbrdf, options, progress))
+        pyramid = self.bake_lobes(material.svbrdf.weighted(), options, progress)
+        for level in pyramid.levels:
+            level.svbrdf = level.svbrdf.unweighted()
+        return Baked.of_lobes(pyramid)
 
     def bake_lobes(self, svbrdf: Svbrdf, options: Any, progress: Progress | None = None) -> Pyramid:
-        """The levels of lobes."""
+        """The levels of lobes; where ``svbrdf`` has opacity, it is ``weighted``, and so is each level."""
         raise NotImplementedError
 
 

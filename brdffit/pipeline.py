@@ -78,7 +78,8 @@ class ReadSet:
             unread = unread_roles(self.texture_set, self.without)
             for role, named in self.texture_set.maps.items():
                 if role not in unread:
-                    yield role, named.path
+                    for path in dict.fromkeys(named.paths):
+                        yield role, path
             if self.texture_set.entry is not None:
                 yield "material", self.texture_set.entry
 
@@ -255,7 +256,7 @@ def assess(material: Material, baked: Baked, texels: int = _REPORT_TEXELS) -> li
     """
     if baked.lobes is None:
         return [{} for _ in baked.sizes]
-    svbrdf, pyramid = material.svbrdf, baked.lobes
+    svbrdf, pyramid = material.svbrdf.weighted(), baked.lobes
     source, target = get_model(svbrdf.model), get_model(pyramid.model)
     kernels = model_kernels(source.name, target.name)
     base = base_of(svbrdf, source.default_shape)
@@ -265,8 +266,9 @@ def assess(material: Material, baked: Baked, texels: int = _REPORT_TEXELS) -> li
             figures.append({})
             continue
         columns, rows = random_texels(level.svbrdf.size, texels, seed=mip_level)
+        weighted = dataclasses.replace(level, svbrdf=level.svbrdf.weighted())
         found = measure(
-            base, svbrdf.size, [level], columns, rows, pixel_filter=pyramid.options.pixel_filter,
+            base, svbrdf.size, [weighted], columns, rows, pixel_filter=pyramid.options.pixel_filter,
             exponent=DENSITY_EXPONENTS[pyramid.options.density], kernels=kernels, default_shape=target.default_shape,
             nodes=_REPORT_NODES, samples=_REPORT_SAMPLES,
         )  # fmt: skip
@@ -286,7 +288,7 @@ def draw_preview(read: ReadSet, baked: Baked) -> NDArray:
     averaged = baked.lobes if baked.method == "naive" else None
     averaged = averaged or averaged_levels(read.material, baked.options)
     return make_preview(
-        read.material.svbrdf, averaged, baked.appearance, title=read.name, name=baked.method,
+        read.material.svbrdf.over_black(), averaged, baked.appearance, title=read.name, name=baked.method,
         threads=baked.options.threads,
     )  # fmt: skip
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 WRAPS = ("tile", "clamp")
+#: What a texel without any surface weighs, over one that is all surface.
+LEAST_WEIGHT = 1e-3
 
 
 @dataclass
@@ -27,6 +29,11 @@ class Svbrdf:
         shape: (H, W) further parameter of the lobe, or None where the model has none.
         occlusion: (H, W) ambient occlusion in [0, 1], or None; carried along, averaged, never fitted.
         height: (H, W) height in texels (positive up), or None; read by the method that filters heights.
+        opacity: (H, W) share of each texel that there is surface, in [0, 1], or None where all is; it weighs every
+            other map (see ``weighted``), and is averaged itself.
+        alpha: what becomes of opacity in pictures: "mask" (tested against ``cutoff``), "blend", or "" where it only
+            says which texels nothing uses.
+        cutoff: opacity below which a mask is not there.
     """
 
     normal: NDArray
@@ -38,6 +45,9 @@ class Svbrdf:
     shape: NDArray | None = None
     occlusion: NDArray | None = None
     height: NDArray | None = None
+    opacity: NDArray | None = None
+    alpha: str = ""
+    cutoff: float = 0.5
 
     def __post_init__(self) -> None:
         size = self.normal.shape[:2]
@@ -45,7 +55,7 @@ class Svbrdf:
             array = getattr(self, name)
             if array.shape != (*size, 3):
                 raise ValueError(f"{name} has shape {array.shape}, expected {(*size, 3)}")
-        for name in ("shape", "occlusion", "height"):
+        for name in ("shape", "occlusion", "height", "opacity"):
             array = getattr(self, name)
             if array is not None and array.shape != size:
                 raise ValueError(f"{name} has shape {array.shape}, expected {size}")
@@ -69,9 +79,52 @@ class Svbrdf:
         flat[..., 2] = 1.0
         return self.replace(normal=flat, height=None)
 
+    def weighted(self) -> Svbrdf:
+        """Colours times the weight w = L + (1 - L) opacity, which takes opacity's place; L = ``LEAST_WEIGHT``.
+
+        A level's target sum_i f_i a_i rho_i D_i / sum_i f_i a_i, for filter weights f, is linear in the colours: bake
+        these, filter w alongside, and divide. So every method that weighs lobes by their colours weighs them by opacity
+        too, and what no surface covers at all comes out as the average of what lies there.
+        """
+        if self.opacity is None:
+            return self
+        weight = np.float32(LEAST_WEIGHT) + np.float32(1.0 - LEAST_WEIGHT) * self.opacity
+        colours = {name: getattr(self, name) * weight[..., None] for name in ("specular", "diffuse")}
+        return self.replace(opacity=weight, **colours)
+
+    def unweighted(self) -> Svbrdf:
+        """The inverse of ``weighted``, for a level whose weights were filtered like its colours."""
+        if self.opacity is None:
+            return self
+        # Mitchell's filter has negative weights.
+        weight = np.maximum(self.opacity, np.float32(LEAST_WEIGHT))
+        colours = {name: getattr(self, name) / weight[..., None] for name in ("specular", "diffuse")}
+        opacity = np.clip((weight - LEAST_WEIGHT) / (1.0 - LEAST_WEIGHT), 0.0, 1.0).astype(np.float32)
+        return self.replace(opacity=opacity, **colours)
+
+    def over_black(self) -> Svbrdf:
+        """What is seen of it before a black ground: colours times opacity, and no opacity any more."""
+        if self.opacity is None:
+            return self
+        colours = {name: getattr(self, name) * self.opacity[..., None] for name in ("specular", "diffuse")}
+        return self.replace(opacity=None, **colours)
+
+    def averaged_scalars(self, average: Callable[[NDArray], NDArray]) -> tuple[NDArray | None, NDArray | None]:
+        """Occlusion and opacity of a level, by a function that filters (H, W, C); of ``weighted`` maps.
+
+        Occlusion counts as much as there is surface.
+        """
+        if self.opacity is None:
+            return None if self.occlusion is None else average(self.occlusion[..., None])[..., 0], None
+        opacity = average(self.opacity[..., None])[..., 0]
+        if self.occlusion is None:
+            return None, opacity
+        occlusion = average((self.occlusion * self.opacity)[..., None])[..., 0]
+        return np.clip(occlusion / np.maximum(opacity, LEAST_WEIGHT), 0.0, 1.0), opacity
+
     def arrays(self) -> dict[str, NDArray]:
         """The arrays that are present, by field name."""
-        names = ("normal", "log_roughness", "specular", "diffuse", "shape", "occlusion", "height")
+        names = ("normal", "log_roughness", "specular", "diffuse", "shape", "occlusion", "height", "opacity")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
     def is_finite(self) -> bool:

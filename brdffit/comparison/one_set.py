@@ -61,13 +61,14 @@ class SetWork:
         self.options = ask.shared
         with self._phase("reading"):
             self.read = read_set(source, ask.reading, self.options)
-            self.base = self.read.material.svbrdf
+            # What is rendered and measured; a cut-out is seen before a black ground.
+            self.base = self.read.material.svbrdf.over_black()
 
     def run(self) -> SetResult:
         """Everything, in order."""
         baked, seconds = self._bake()
         lobes_of = {name: each.lobes for name, each in baked.items() if each.lobes is not None}
-        pyramids = {name: [level.svbrdf for level in pyramid.levels] for name, pyramid in lobes_of.items()}
+        pyramids = {name: [level.svbrdf.over_black() for level in pyramid.levels] for name, pyramid in lobes_of.items()}
         # What is no pyramid of lobes is drawn by what it says of itself.
         drawn = {name: pyramids.get(name, each.appearance) for name, each in baked.items()}
         fit = fit_of(list(baked))
@@ -134,7 +135,8 @@ class SetWork:
         seconds: dict[str, float] = {}
         for number, name in enumerate(self.methods):
             method, options = variant(name, self.ask.options)
-            base = self.base.without(self.ask.unread) if name == fit_of(self.methods) else self.base
+            base = self.read.material.svbrdf
+            base = base.without(self.ask.unread) if name == fit_of(self.methods) else base
             read = ReadSet(self.name, Material(base))
             phases = Phases(self.listener)
             self._tell(f"baking by {name} ({number + 1} of {len(self.methods)})")

@@ -11,7 +11,7 @@ from brdffit.fitting.options import FitOptions
 from brdffit.footprint import get_pixel_filter, iter_pyramid
 from brdffit.models import Model
 from brdffit.roughness import perceptual_from_log_tensor
-from brdffit.svbrdf import Svbrdf
+from brdffit.svbrdf import LEAST_WEIGHT, Svbrdf
 
 
 def averaged_levels(
@@ -21,17 +21,22 @@ def averaged_levels(
 
     Normals are made unit length again; the spread of normals, and what roughness is to reflected energy, is lost.
     """
-    images = {"normal": svbrdf.normal, "roughness": _roughness(svbrdf), "specular": svbrdf.specular}
+    own = {"normal": svbrdf.normal, "roughness": _roughness(svbrdf)}
+    if svbrdf.occlusion is not None:
+        own["occlusion"] = svbrdf.occlusion[..., None]
+    if svbrdf.shape is not None and target.shape_bounds:
+        own["shape"] = svbrdf.shape[..., None]
+    weight = None if svbrdf.opacity is None else svbrdf.opacity[..., None]
+    images = {name: image if weight is None else image * weight for name, image in own.items()}
+    images |= {"specular": svbrdf.specular} | ({} if weight is None else {"opacity": weight})
     if svbrdf.diffuse.any():
         images["diffuse"] = svbrdf.diffuse
-    if svbrdf.occlusion is not None:
-        images["occlusion"] = svbrdf.occlusion[..., None]
-    if svbrdf.shape is not None and target.shape_bounds:
-        images["shape"] = svbrdf.shape[..., None]
     pixel_filter = get_pixel_filter(options.pixel_filter)
     pyramids = [iter_pyramid(image, sizes, pixel_filter, svbrdf.wrap) for image in images.values()]
     for size in sizes:
         found = {name: next(pyramid) for name, pyramid in zip(images, pyramids, strict=True)}
+        if weight is not None:
+            found |= {name: found[name] / np.maximum(found["opacity"], LEAST_WEIGHT) for name in own}
         shape = None
         if target.shape_bounds:
             shape = found["shape"][..., 0] if "shape" in found else np.full(size, target.default_shape, np.float32)
@@ -46,6 +51,9 @@ def averaged_levels(
             wrap=svbrdf.wrap,
             shape=shape,
             occlusion=None if occlusion is None else np.clip(occlusion[..., 0], 0.0, 1.0),
+            opacity=found["opacity"][..., 0] if weight is not None else None,
+            alpha=svbrdf.alpha,
+            cutoff=svbrdf.cutoff,
         )
 
 

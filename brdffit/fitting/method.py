@@ -249,14 +249,12 @@ def _fit_level(
 
 
 def _level(output: Output, size: tuple[int, int], base: Svbrdf, target: Model, pixel_filter: PixelFilter) -> Level:
-    """The filled arrays as a level; occlusion is averaged."""
+    """The filled arrays as a level; occlusion and opacity are averaged."""
 
     def image(array: NDArray) -> NDArray:
         return array.reshape(*size, *array.shape[1:])
 
-    occlusion = base.occlusion
-    if occlusion is not None:
-        occlusion = filter_channels(occlusion[..., None], size, pixel_filter, base.wrap)[..., 0]
+    occlusion, opacity = base.averaged_scalars(lambda array: filter_channels(array, size, pixel_filter, base.wrap))
     svbrdf = Svbrdf(
         normal=image(output.normal),
         log_roughness=image(output.log_roughness),
@@ -266,5 +264,8 @@ def _level(output: Output, size: tuple[int, int], base: Svbrdf, target: Model, p
         wrap=base.wrap,
         shape=image(output.shape) if target.shape_bounds else None,
         occlusion=occlusion,
+        opacity=opacity,
+        alpha=base.alpha,
+        cutoff=base.cutoff,
     )
     return Level(svbrdf, image(output.status), image(output.residual), image(output.evaluations))

@@ -125,7 +125,7 @@ def bake_set(task: Task, found: ReadTask, threads: int) -> Outcome:
     with store.writing(task, read.material.size) as write:
         baked = pipeline.run(read, _method(task.method), options, phases)
         manifest, _ = pipeline.finish(
-            read, baked, phases, write=write, draw=lambda: make_thumbnail(read.material.svbrdf, baked),
+            read, baked, phases, write=write, draw=lambda: make_thumbnail(read.material.svbrdf.over_black(), baked),
             record={"request": found.request},
         )  # fmt: skip
     return Outcome(task.key, None, sum(level["texels"] for level in manifest["levels"]), phases.seconds)

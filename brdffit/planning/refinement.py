@@ -66,4 +66,4 @@ def _crop(base: Svbrdf, side: list[int], random: np.random.Generator) -> Svbrdf:
     at = [int(random.integers(0, size - length + 1)) for size, length in zip(base.size, side, strict=True)]
     cut = tuple(slice(begin, begin + length) for begin, length in zip(at, side, strict=True))
     arrays = {name: np.ascontiguousarray(array[cut]) for name, array in base.arrays().items()}
-    return Svbrdf(**arrays, model=base.model, wrap="clamp")
+    return base.replace(**arrays, wrap="clamp")

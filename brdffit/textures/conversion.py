@@ -13,6 +13,7 @@ from brdffit.methods import one_of
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures import encoding
+from brdffit.textures.coverage import covered
 from brdffit.textures.relief import normal_and_height
 from brdffit.textures.texture_set import TextureSet
 
@@ -57,7 +58,7 @@ def to_svbrdf(
         strength = float(texture_set.factors.get("occlusion", 1.0))
         occlusion = np.clip(1.0 + strength * (occlusion - 1.0), 0.0, 1.0)
     size = texture_set.size
-    return Svbrdf(
+    svbrdf = Svbrdf(
         normal=_full(normal, size),
         log_roughness=_full(_log_tensor(texture_set, roughness), size),
         specular=_full(specular, size),
@@ -67,6 +68,7 @@ def to_svbrdf(
         occlusion=None if occlusion is None else _full(occlusion, size),
         height=None if height is None else _full(height, size),
     )
+    return covered(texture_set, svbrdf, scalar_map(texture_set, "opacity"))
 
 
 def unread_roles(texture_set: TextureSet, without: Collection[str]) -> list[str]:

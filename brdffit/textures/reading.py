@@ -11,6 +11,7 @@ import numpy as np
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.files.image_io import IMAGE_SUFFIXES, UNREAD_SUFFIXES, read_info
 from brdffit.svbrdf import WRAPS
+from brdffit.textures.coverage import DEFAULT_CUTOFF, NOTHING, looks_like_coverage
 from brdffit.textures.frames import IDENTITY, common_frame
 from brdffit.textures.gltf import read_gltf
 from brdffit.textures.materialx import read_materialx
@@ -89,6 +90,7 @@ def read_texture_set(
         _without_surface(texture_set, path)
     if "normal" in texture_set.maps:
         settle_normal_y(texture_set, normal_y)
+    settle_opacity(texture_set)
     return texture_set
 
 
@@ -235,6 +237,32 @@ def normal_y_from_names(texture_set: TextureSet, named: NamedSet) -> None:
         texture_set.normal_y, texture_set.normal_y_source = normal.normal_y, "name"
     elif old_cc0textures(named):
         texture_set.normal_y, texture_set.normal_y_source = "dx", "convention"
+
+
+def settle_opacity(texture_set: TextureSet) -> None:
+    """Take the alpha of a base colour map for opacity, where nothing says what it is and it looks like a cut-out."""
+    colour = texture_set.maps.get("base_color")
+    taken = {(named.path, named.channel) for named in texture_set.maps.values()}
+    if "opacity" in texture_set.maps:
+        if texture_set.entry is None:
+            texture_set.alpha_cutoff = DEFAULT_CUTOFF
+        return
+    if colour is None or texture_set.entry is not None or (colour.path, "A") in taken or colour.constant:
+        return
+    if len(colour.info.channels) not in (2, 4):
+        return
+    alpha = colour.read()[0][:, :, -1]
+    if float(alpha.min()) >= 1.0 - NOTHING:
+        return
+    if looks_like_coverage(alpha):
+        texture_set.maps["opacity"] = Map("opacity", colour.path, "A", colour.data, frame=colour.frame)
+        texture_set.alpha_cutoff = DEFAULT_CUTOFF
+        texture_set.note(f"The alpha of '{colour.path.name}' is that of a cut-out: it is read as opacity.")
+    else:
+        texture_set.note(
+            f"The alpha of '{colour.path.name}' is not used: it does not look like a cut-out; name what it is, as in "
+            f"--role opacity={colour.path.name}:A."
+        )
 
 
 def settle_wrap(texture_set: TextureSet, path: Path, wrap: str | None) -> None:
