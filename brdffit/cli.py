@@ -25,6 +25,7 @@ from brdffit.cli_options import (
     texel_of,
 )
 from brdffit.errors import BrdffitError, UnknownNameError
+from brdffit.learned.cli import learn
 from brdffit.probes.cli import probe
 from brdffit.textures import READING_OPTIONS
 
@@ -53,6 +54,7 @@ def main() -> None:
 
 
 main.add_command(probe)
+main.add_command(learn)
 
 
 @main.command()

@@ -1,0 +1,97 @@
+"""What the networks are trained on: texture sets, their variants, and footprints drawn from them."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError
+from brdffit.fitting.method import level_rules
+from brdffit.fitting.presets import get_quality
+from brdffit.footprint import get_pixel_filter
+from brdffit.halfangle.apparent_lobe import Strata, base_of
+from brdffit.learned.tables import Table, tabulate
+from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
+from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.textures.conversion import to_svbrdf
+from brdffit.textures.reading import read_texture_set
+
+#: Levels that training knows; beyond them footprints look like the last.
+LEVELS = 6
+#: (factor of perceptual roughness, factor of slopes) of a set's variants.
+VARIANTS = ((1.0, 1.0), (0.6, 1.0), (0.8, 2.0), (1.2, 0.5), (0.35, 1.5))
+
+
+def read_set(source: str | Path) -> Svbrdf:
+    """A set for training: lobes of the model GGX, without colours that are not reflected."""
+    return to_svbrdf(read_texture_set(source)).replace(occlusion=None, height=None)
+
+
+def set_digest(source: str | Path) -> str:
+    """SHA-256 over the files of a set, in the order of their names."""
+    folder = Path(source)
+    files = sorted(path for path in folder.rglob("*") if path.is_file()) if folder.is_dir() else [folder]
+    digest = hashlib.sha256()
+    for path in files:
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def varied(svbrdf: Svbrdf, roughness: float, steepness: float) -> Svbrdf:
+    """Perceptual roughness and slopes times a factor; roughness stays within the floor and 1."""
+    if roughness == 1.0 and steepness == 1.0:
+        return svbrdf
+    normal = svbrdf.normal.copy()
+    normal[..., :2] *= steepness
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    log_roughness = svbrdf.log_roughness + np.float32(4.0 * math.log(roughness)) * np.array([1, 1, 0], np.float32)
+    low = 4.0 * math.log(DEFAULT_MIN_ROUGHNESS)
+    log_roughness[..., :2] = np.clip(log_roughness[..., :2], low, 0.0)
+    return svbrdf.replace(normal=normal, log_roughness=log_roughness)
+
+
+def level_strata(base_size: tuple[int, int], level: int) -> tuple[Strata, int]:
+    """Strata of a level's box footprints and the room that their lobes need, sampled as the draft preset does."""
+    sizes = level_sizes(base_size)
+    level = min(level, len(sizes) - 1)
+    rules = level_rules(get_pixel_filter("box"), base_size, sizes[level], level, get_quality("draft"))
+    return rules.strata, rules.room + 1
+
+
+def footprints(svbrdf: Svbrdf, level: int, count: int, rng: np.random.Generator) -> Table:
+    """Random texels of a level."""
+    sizes = level_sizes(svbrdf.size)
+    height, width = sizes[min(level, len(sizes) - 1)]
+    strata, room = level_strata(svbrdf.size, level)
+    x = (rng.integers(0, width, count) + 0.5) * svbrdf.size[1] / width
+    y = (rng.integers(0, height, count) + 0.5) * svbrdf.size[0] / height
+    return tabulate(base_of(svbrdf), strata, x, y, room)
+
+
+def training_table(sources: Sequence[str | Path], texels: int, rng: np.random.Generator) -> Table:
+    """Footprints of all sets, variants and levels, ``texels`` in all, about.
+
+    Raises:
+        InputError: when no set reflects anything.
+    """
+    each = max(8, math.ceil(texels / (len(sources) * len(VARIANTS) * LEVELS)))
+    parts = []
+    for source in sources:
+        svbrdf = read_set(source)
+        for roughness, steepness in VARIANTS:
+            variant = varied(svbrdf, roughness, steepness)
+            parts += [footprints(variant, level, each, rng) for level in range(LEVELS)]
+    table = Table.joined(parts)
+    if not len(table):
+        raise InputError("The sets reflect nothing; there is nothing to train on.")
+    return table
+
+
+def positions(count: int, size: tuple[int, int], rng: np.random.Generator) -> tuple[NDArray, NDArray]:
+    """Random points (x, y) of a texture, in base texels."""
+    return rng.uniform(0.0, size[1], count), rng.uniform(0.0, size[0], count)

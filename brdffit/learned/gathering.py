@@ -1,0 +1,53 @@
+"""Moments and colours of a level's footprints, texel by texel."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit._jit import kernel
+from brdffit.fitting.batch import diffuse_scale
+from brdffit.halfangle.apparent_lobe import Base, Strata
+from brdffit.halfangle.quadrature import LOBE_COLUMNS
+from brdffit.learned.moments import MOMENTS, lobe_moments
+from brdffit.learned.tables import prepare_lobes
+
+
+class Gathered(NamedTuple):
+    """Of n texels: ``moments`` (n, MOMENTS), filtered specular ``colour`` (n, 3), ``diffuse`` (n, 9) as
+    sum_i w_i d_ic n_i by (channel, axis), and whether ``some`` light is reflected at all (n,)."""
+
+    moments: NDArray
+    colour: NDArray
+    diffuse: NDArray
+    some: NDArray
+
+
+@kernel
+def gather_rows(base, strata, columns, rows, lobes, moments, colour, diffuse, some):
+    """Fill the arrays of ``Gathered`` for texels (columns[i], rows[i]) of a level."""
+    for i in range(columns.size):
+        count, isotropic, red, green, blue, any_light = prepare_lobes(
+            base, strata, columns[i], rows[i], lobes, diffuse[i]
+        )
+        lobe_moments(lobes, count, isotropic, moments[i])
+        colour[i, 0], colour[i, 1], colour[i, 2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+        some[i] = any_light
+
+
+@kernel
+def diffuse_rows(moments, normal, exponent, out):
+    """Diffuse colours (n, 3) that fit footprints' ``Gathered.diffuse`` under normals (n, 3)."""
+    for i in range(normal.shape[0]):
+        for k in range(3):
+            out[i, k] = diffuse_scale(moments[i], k, normal[i, 0], normal[i, 1], normal[i, 2], exponent)
+
+
+def gather(base: Base, strata: Strata, room: int, columns: NDArray, rows: NDArray) -> Gathered:
+    """Texels (columns[i], rows[i]) of a level; ``room`` is how many lobes a footprint may have."""
+    n = len(columns)
+    found = Gathered(np.zeros((n, MOMENTS)), np.zeros((n, 3)), np.zeros((n, 9)), np.zeros(n, np.bool_))
+    gather_rows(base, strata, columns, rows, np.zeros((room + 1, LOBE_COLUMNS)), *found)
+    return found

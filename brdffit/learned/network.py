@@ -1,0 +1,125 @@
+"""The network behind the method ``learned``: features of a footprint to a correction of its closed form."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.learned.moments import DEVIATION, FEATURES, SHARPEST, TENSORS, features_of
+from brdffit.learned.residual import CORRECTIONS, MOST, compose
+from brdffit.nets.layers import DenseChain
+from brdffit.nets.weights import read_weights, shaped
+
+KIND = "learned"
+#: Weights that the program ships.
+SHIPPED = Path(__file__).parent / "weights" / "learned-ggx.npz"
+#: Outputs: the correction, and the log of the scale over the filtered colour.
+OUTPUTS = CORRECTIONS + 1
+#: Normalised features beyond this are cut: a network says nothing sensible of what it has never seen.
+_FARTHEST = 4.0
+#: Scales are never corrected by more than this factor, in either direction.
+_LOG_MOST = 2.0
+
+
+#: Where lobes differ by less than this, corrections fade.
+_ALIKE = 0.05
+
+
+def difference(features: NDArray) -> NDArray:
+    """Factor (n,) of corrections, 0 where all lobes of a footprint are alike and the closed form is exact, else to 1.
+
+    With x what normals take of the widened tensor's two axes, and how far sizes differ, it is x / (x + ``_ALIKE``).
+    """
+    by_normals = np.maximum(2.0 - features[:, TENSORS] - features[:, TENSORS + 1], 0.0)
+    x = by_normals + features[:, DEVIATION] + np.maximum(features[:, SHARPEST], 0.0)
+    return x / (x + _ALIKE)
+
+
+class Prediction(NamedTuple):
+    """Lobes of n texels.
+
+    ``theta`` (n, 5): slopes and log tensor; ``factor`` (n,): scale over the filtered colour; ``covered`` (n,): whether
+    training has seen such footprints.
+    """
+
+    theta: NDArray
+    factor: NDArray
+    covered: NDArray
+
+
+class ResidualNetwork:
+    """A chain of dense layers on normalised features.
+
+    Attributes:
+        mean, deviation: (FEATURES,) of the training set.
+        low, high: (FEATURES,) range that training covered.
+        chain: the layers.
+    """
+
+    def __init__(self, hidden: tuple[int, ...], rng: np.random.Generator) -> None:
+        self.hidden = hidden
+        # The last layer starts at 0: an untrained network is the closed form.
+        self.chain = DenseChain((FEATURES, *hidden, OUTPUTS), rng, last_gain=0.0)
+        self.mean, self.deviation = np.zeros(FEATURES), np.ones(FEATURES)
+        self.low, self.high = np.full(FEATURES, -np.inf), np.full(FEATURES, np.inf)
+
+    def cover(self, features: NDArray) -> None:
+        """Take normalisation and range from training features (n, FEATURES)."""
+        self.mean, self.deviation = features.mean(axis=0), features.std(axis=0) + 1e-3
+        # Signs mean nothing: the range of a feature that turns about with an axis is symmetric.
+        low, high = np.quantile(features, (0.001, 0.999), axis=0)
+        margin = 0.05 * (high - low) + 1e-3
+        self.low, self.high = low - margin, high + margin
+
+    def normalised(self, features: NDArray) -> NDArray:
+        """Inputs of the chain, float32."""
+        return np.clip((features - self.mean) / self.deviation, -_FARTHEST, _FARTHEST).astype(np.float32)
+
+    def predict(self, moments: NDArray) -> Prediction:
+        """Lobes of footprints with these moments (n, MOMENTS) float64."""
+        features, closed = features_of(moments)
+        out = self.chain.forward(self.normalised(features)) * difference(features)[:, None]
+        out = np.clip(out, -MOST, MOST)
+        covered = np.all((features >= self.low) & (features <= self.high), axis=1)
+        factor = np.exp(np.clip(out[:, CORRECTIONS], -_LOG_MOST, _LOG_MOST))
+        return Prediction(compose(closed, out[:, :CORRECTIONS]), factor, covered)
+
+    def arrays(self) -> dict[str, NDArray]:
+        """All that must be kept, for ``write_weights``."""
+        return {
+            "chain": self.chain.weights, "mean": self.mean, "deviation": self.deviation, "low": self.low,
+            "high": self.high,
+        }  # fmt: skip
+
+    def architecture(self) -> dict[str, Any]:
+        """For the meta."""
+        return {"features": FEATURES, "hidden": list(self.hidden), "outputs": OUTPUTS}
+
+    @classmethod
+    def of(cls, arrays: dict[str, NDArray], meta: dict[str, Any], path: Path) -> ResidualNetwork:
+        """The network that these weights are of.
+
+        Raises:
+            InputError: when they are of another architecture.
+        """
+        hidden = tuple(int(size) for size in meta.get("architecture", {}).get("hidden", ()))
+        made = cls(hidden, np.random.default_rng(0))
+        made.chain.weights[:] = shaped(arrays, "chain", made.chain.weights.shape, path)
+        for name in ("mean", "deviation", "low", "high"):
+            setattr(made, name, shaped(arrays, name, (FEATURES,), path).astype(np.float64))
+        return made
+
+
+@cache
+def load_network(path: Path = SHIPPED) -> tuple[ResidualNetwork, dict[str, Any]]:
+    """The network of a file, read once, and its meta.
+
+    Raises:
+        InputError: for a file that is none of its kind.
+    """
+    arrays, meta = read_weights(path, KIND)
+    return ResidualNetwork.of(arrays, meta, path), meta

@@ -1,0 +1,145 @@
+"""Training of the method ``learned``: corrections of closed forms against the exact half-angle objective."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.learned import moments, residual
+from brdffit.learned.data import VARIANTS, footprints, read_set, set_digest, training_table
+from brdffit.learned.moments import features_of
+from brdffit.learned.network import KIND, OUTPUTS, ResidualNetwork, difference
+from brdffit.learned.residual import CORRECTIONS, MOST, compose, pull_back
+from brdffit.learned.tables import Table, errors_of
+from brdffit.nets.adam import Adam
+from brdffit.nets.layers import Network
+
+#: Texels of a batch.
+BATCH = 4096
+#: Texels of the training table.
+TEXELS = 160_000
+HIDDEN = (64, 64)
+_RATE, _LAST_RATE = 3e-3, 3e-5
+_WARM_STEPS = 100
+# The loss of a texel is log(e + this): its error counts relative to itself down to there.
+_FLOOR = 0.02
+#: Longest gradient of a texel: a few texels whose walls are steep shall not decide a step.
+_STEEPEST = 3.0
+_HELD_OUT_LEVELS, _HELD_OUT_TEXELS = (1, 2, 3, 4, 5), 200
+
+
+class ResidualTask:
+    """A network, its training table, and the footprints that it never sees.
+
+    Args:
+        sources: sets to train on.
+        held_out: sets for the figure; with none, it is that of the training sets.
+        seed: of initial weights and of the table.
+        texels: of the table.
+    """
+
+    kind = KIND
+
+    def __init__(
+        self, sources: Sequence[str | Path], held_out: Sequence[str | Path], seed: int, texels: int = TEXELS
+    ) -> None:
+        rng = np.random.default_rng(seed)
+        self.sources, self.held_out = [Path(each) for each in sources], [Path(each) for each in held_out]
+        self.network = ResidualNetwork(HIDDEN, rng)
+        self.table = training_table(self.sources, texels, rng)
+        features, self.closed = features_of(self.table.moments)
+        self.network.cover(features)
+        self.inputs, self.difference = self.network.normalised(features), difference(features)[:, None]
+        self.judged = [
+            footprints(read_set(each), level, _HELD_OUT_TEXELS, rng)
+            for each in (self.held_out or self.sources)
+            for level in _HELD_OUT_LEVELS
+        ]
+
+    def networks(self) -> dict[str, Network]:
+        """The chain."""
+        return {"chain": self.network.chain}
+
+    def optimiser(self, size: int) -> Adam:
+        """Adam with a short memory: batches are large."""
+        return Adam(size)
+
+    def rate(self, step: int, done: float) -> float:
+        """Warm up, hold for the first half, then fall geometrically."""
+        fall = 1.0 if done < 0.5 else (_LAST_RATE / _RATE) ** ((done - 0.5) / 0.5)
+        return _RATE * min(1.0, (step + 1) / _WARM_STEPS) * fall
+
+    def accumulate(self, rng: np.random.Generator) -> float:
+        """One batch of random texels, axes turned about at random."""
+        index = rng.integers(0, len(self.table), BATCH)
+        inputs, closed = self.inputs[index].copy(), self.closed[index]
+        signs = np.repeat(self.difference[index], OUTPUTS, axis=1)
+        mean, deviation = self.network.mean, self.network.deviation
+        for odd, outs in (
+            (moments.FIRST_ODD, residual.FIRST_ODD), (moments.SECOND_ODD, residual.SECOND_ODD)
+        ):  # fmt: skip
+            turned = rng.random(BATCH) < 0.5
+            for k in odd:
+                inputs[turned, k] = -inputs[turned, k] - np.float32(2.0 * mean[k] / deviation[k])
+            for k in outs:
+                signs[turned, k] *= -1.0
+        out = self.network.chain.forward(inputs, keep=True).astype(np.float64) * signs
+        loss, gradient = loss_of(self.table, index, closed, out)
+        self.network.chain.backward((gradient * signs / BATCH).astype(np.float32))
+        return loss
+
+    def figure(self) -> float:
+        """Mean over sets and levels of the SNR."""
+        return float(np.mean([-10.0 * np.log10(np.mean(error_of(self.network, table))) for table in self.judged]))
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Of the network."""
+        return self.network.arrays()
+
+    def meta(self) -> dict[str, Any]:
+        """Provenance."""
+        return {
+            "architecture": self.network.architecture(),
+            "loss": f"mean of log(e + {_FLOOR}), e the half-angle error of the lobe at its best scale",
+            "training_sets": {each.name: set_digest(each) for each in self.sources},
+            "held_out_sets": [each.name for each in self.held_out],
+            "variants": [list(each) for each in VARIANTS],
+            "texels": len(self.table),
+            "batch": BATCH,
+            "licence": "trained on CC0-1.0 texture sets",
+        }
+
+
+def loss_of(table: Table, index: NDArray, closed: NDArray, out: NDArray) -> tuple[float, NDArray]:
+    """Mean loss of outputs (n, OUTPUTS) and its gradient a texel (not divided by n).
+
+    The scale is learned beside the lobe: with k = exp(s) times the filtered colour's length and k* the best scale, the
+    error at k is e + w (k - k*)^2, e that at the best scale. The lobe follows e alone, s the square alone, both
+    weighted by 1 / (e + floor).
+    """
+    d = np.clip(out[:, :CORRECTIONS], -MOST, MOST)
+    found = errors_of(table, index, compose(closed, d))
+    fine = np.isfinite(found.error) & np.isfinite(found.gradient).all(axis=1)
+    error = np.where(fine, np.maximum(found.error, 0.0), 1.0)
+    weight = np.where(fine, 1.0 / (error + _FLOOR), 0.0)
+    gradient = np.zeros_like(out)
+    gradient[:, :CORRECTIONS] = pull_back(closed, d, np.where(fine[:, None], found.gradient, 0.0)) * weight[:, None]
+    length = np.linalg.norm(gradient[:, :CORRECTIONS], axis=1, keepdims=True)
+    gradient[:, :CORRECTIONS] *= np.minimum(1.0, _STEEPEST / np.maximum(length, 1e-12))
+    scale = table.colour[index] * np.exp(np.clip(out[:, CORRECTIONS], -2.0, 2.0))
+    wrong = scale - found.scale
+    # A scale far off would swamp the rest: the square goes over into a line.
+    by_scale = 2.0 * np.clip(found.weight * weight * wrong * scale, -1.0, 1.0)
+    gradient[:, CORRECTIONS] = np.where(fine, by_scale, 0.0)
+    return float(np.mean(np.log(error + _FLOOR))), gradient
+
+
+def error_of(network: ResidualNetwork, table: Table) -> NDArray:
+    """Error (n,) of the network's lobes and scales on a table."""
+    predicted = network.predict(table.moments)
+    found = errors_of(table, np.arange(len(table)), predicted.theta)
+    return np.clip(found.error, 0.0, None) + found.weight * (table.colour * predicted.factor - found.scale) ** 2

@@ -1,0 +1,406 @@
+"""Learned modes: moments against a slow oracle, gradients against differences, what the methods promise, training."""
+
+import math
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from brdffit.cli import main
+from brdffit.errors import InputError
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOBE_COLUMNS, MIXTURE
+from brdffit.learned import moments as m
+from brdffit.learned import residual
+from brdffit.learned.crops import LEVELS, SIDE, TEXELS, crop_of, noise_mask, trilinear, within
+from brdffit.learned.data import footprints
+from brdffit.learned.latent import INPUTS, LatentNetworks, encode_image, inputs_of, lift_back, lifted, luminance_of
+from brdffit.learned.latent_training import interpolated_loss, learn_crop, pooled, spread_back
+from brdffit.learned.network import ResidualNetwork, difference
+from brdffit.learned.residual_training import loss_of
+from brdffit.learned.tables import errors_of
+from brdffit.methods import Material, get_method
+from brdffit.nets.adam import Adam
+from brdffit.svbrdf import Svbrdf
+
+#: Of a difference quotient of the objective, whose sums are in single precision.
+QUOTIENT = 0.02
+
+
+def bumpy(size=64, seed=0, steepness=0.3, roughness=(0.1, 0.3)):
+    """Smooth random bumps with roughness that follows them."""
+    rng = np.random.default_rng(seed)
+    spectrum = np.fft.fft2(rng.standard_normal((size, size)))
+    f = np.fft.fftfreq(size) * size
+    low = np.exp(-0.5 * (np.hypot(f, f[:, None]) / (size / 10)) ** 2)
+    height = np.real(np.fft.ifft2(spectrum * low))
+    dx, dy = (np.roll(height, -1, axis) - np.roll(height, 1, axis) for axis in (1, 0))
+    scale = steepness / np.std(dx)
+    normal = np.stack([-scale * dx, scale * dy, np.ones_like(dx)], axis=2)
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    share = np.clip(0.5 + 0.25 * height / height.std(), 0, 1)
+    a = 4.0 * np.log(roughness[0] + (roughness[1] - roughness[0]) * share)
+    tensor = np.stack([a, a, 0 * a], axis=2)
+    grey = np.full((size, size, 3), 0.5, np.float32)
+    return Svbrdf(normal.astype(np.float32), tensor.astype(np.float32), grey, np.zeros_like(grey))
+
+
+def bake(svbrdf, name, **options):
+    method = get_method(name)
+    return method.bake(Material(svbrdf), method.options(**options)).lobes
+
+
+def some_lobes(count=7, seed=1):
+    """Isotropic lobes as kernels hold them, and their normals, alpha^2 and weights."""
+    rng = np.random.default_rng(seed)
+    normal = rng.normal(0, 0.2, (count, 3)) + [0.1, -0.2, 1.0]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    alpha_squared, weight = rng.uniform(0.01, 0.1, count), rng.dirichlet(np.ones(count))
+    lobes = np.zeros((count, LOBE_COLUMNS))
+    lobes[:, :3], lobes[:, ALPHA_SQUARED], lobes[:, MIXTURE] = normal, alpha_squared, weight
+    return lobes, normal, alpha_squared, weight
+
+
+def moments_of(lobes):
+    out = np.zeros((1, m.MOMENTS))
+    m.lobe_moments(lobes, len(lobes), True, out[0])
+    return out
+
+
+def test_features_are_central_moments_in_the_lobe_s_frame():
+    lobes, normal, alpha_squared, weight = some_lobes()
+    features, closed = m.features_of(moments_of(lobes))
+    features, closed = features[0], closed[0]
+    mean = weight @ normal
+    np.testing.assert_allclose(closed[:3], mean / np.linalg.norm(mean), atol=1e-12)
+    p, q = closed[m.FIRST : m.FIRST + 3], closed[m.SECOND : m.SECOND + 3]
+    np.testing.assert_allclose([p @ q, p @ closed[:3], p @ p, q @ q], [0, 0, 1, 1], atol=1e-12)
+    x, y = normal @ p, normal @ q
+    # The closed form's tensor in its own axes: diagonal, of mean alpha^2 and twice the variance.
+    sigma = (weight @ alpha_squared) * np.eye(2) + 2 * np.einsum("i,ij,ik->jk", weight, *2 * [np.stack([x, y], 1)])
+    assert sigma[0, 1] == pytest.approx(0, abs=1e-12)
+    r1, r2 = closed[m.ROOTS], closed[m.ROOTS + 1]
+    np.testing.assert_allclose([r1**2, r2**2], np.diag(sigma), rtol=1e-10)
+    x, y, u = x / r1, y / r2, np.log(alpha_squared)
+    u = u - weight @ u
+
+    def root(value):
+        return math.copysign(math.sqrt(abs(value)), value)
+
+    expected = {8: root(weight @ x**3), 9: root(weight @ (x * x * y)), 11: root(weight @ y**3)}
+    expected |= {12: root(weight @ x**4), 13: root(weight @ (x**3 * y)), 14: root(weight @ (x * y) ** 2)}
+    expected |= {15: root(weight @ (x * y**3)), 17: math.sqrt(weight @ u**2), 19: weight @ (u * x)}
+    expected |= {21: weight @ (u * x * x), 23: weight @ (u * x * y), 5: weight @ alpha_squared / r1**2}
+    for k, value in expected.items():
+        assert features[k] == pytest.approx(value, rel=1e-7, abs=1e-9), k
+
+
+def test_moments_of_a_union_are_the_mean_of_the_parts():
+    a, b = some_lobes(5, 2)[0], some_lobes(8, 3)[0]
+    both = np.concatenate([a, b])
+    both[:5, MIXTURE] *= 0.3
+    both[5:, MIXTURE] *= 0.7
+    np.testing.assert_allclose(moments_of(both), 0.3 * moments_of(a) + 0.7 * moments_of(b), rtol=1e-12)
+
+
+def test_features_do_not_change_when_the_surface_is_turned():
+    """About z, all but the direction of the axes stays; the sign of an axis is nobody's choice."""
+    lobes = some_lobes()[0]
+    turned = lobes.copy()
+    c, s = math.cos(0.7), math.sin(0.7)
+    turned[:, 0], turned[:, 1] = c * lobes[:, 0] - s * lobes[:, 1], s * lobes[:, 0] + c * lobes[:, 1]
+    one, two = m.features_of(moments_of(lobes))[0][0], m.features_of(moments_of(turned))[0][0]
+    odd = sorted({*m.FIRST_ODD, *m.SECOND_ODD})
+    np.testing.assert_allclose(np.delete(one, odd), np.delete(two, odd), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(np.abs(one[odd]), np.abs(two[odd]), rtol=1e-7, atol=1e-9)
+
+
+def test_turning_an_axis_about_flips_the_odd_features():
+    lobes = some_lobes()[0]
+    mirrored = lobes.copy()
+    mirrored[:, 0] *= -1.0
+    one, two = m.features_of(moments_of(lobes))[0][0], m.features_of(moments_of(mirrored))[0][0]
+    flips = [k for k in range(m.FEATURES) if one[k] * two[k] < 0 and abs(one[k]) > 1e-6]
+    # A mirror image is one axis turned about, or the other, up to the signs of both.
+    allowed = [set(m.FIRST_ODD), set(m.SECOND_ODD), set(m.FIRST_ODD) ^ set(m.SECOND_ODD), set()]
+    assert set(flips) in [each & set(flips) | set() for each in allowed if each >= set(flips)]
+    np.testing.assert_allclose(np.abs(one), np.abs(two), rtol=1e-9, atol=1e-9)
+
+
+def test_no_correction_is_the_closed_form_and_lobes_alike_take_none():
+    lobes = some_lobes()[0]
+    features, closed = m.features_of(moments_of(lobes))
+    theta = residual.compose(closed, np.zeros((1, 5)))
+    np.testing.assert_allclose(theta[0, 2:], closed[0, m.LOG_TENSOR :])
+    np.testing.assert_allclose(theta[0, :2], -closed[0, :2] / closed[0, 2], rtol=1e-12)
+    assert 0.0 < difference(features)[0] < 1.0
+    lobes[:, :3], lobes[:, ALPHA_SQUARED] = [0.0, 0.6, 0.8], 0.05  # and with stretched lobes, in test_reference
+    flat = m.features_of(moments_of(lobes))[0]
+    assert difference(flat)[0] < 1e-6
+
+
+@pytest.fixture(scope="module")
+def table():
+    return footprints(bumpy(), 2, 96, np.random.default_rng(5))
+
+
+def test_gradient_of_the_correction(table):
+    """The objective's own gradient, pulled back, against differences of the error."""
+    rng = np.random.default_rng(6)
+    _, closed = m.features_of(table.moments)
+    index, d = np.arange(len(table)), rng.normal(0.0, 0.3, (len(table), 5))
+    found = errors_of(table, index, residual.compose(closed, d))
+    gradient = residual.pull_back(closed, d, found.gradient)
+    step = 1e-3
+    for k in range(5):
+        by = np.eye(5)[k] * step
+        high, low = (errors_of(table, index, residual.compose(closed, d + sign * by)).error for sign in (1, -1))
+        np.testing.assert_allclose((high - low) / (2 * step), gradient[:, k], atol=1e-3)
+
+
+def test_the_scale_s_loss_is_least_at_the_best_scale(table):
+    _, closed = m.features_of(table.moments)
+    index = np.arange(len(table))
+    best = errors_of(table, index, residual.compose(closed, np.zeros((len(table), 5)))).scale
+    out = np.zeros((len(table), 6))
+    for shift in (-0.1, 0.1):
+        out[:, 5] = np.log(best / table.colour) + shift
+        assert (np.sign(loss_of(table, index, closed, out)[1][:, 5]) == np.sign(shift)).all()
+
+
+def test_an_untrained_network_is_the_closed_form_and_training_beats_it(table):
+    rng = np.random.default_rng(7)
+    network = ResidualNetwork((32,), rng)
+    features, closed = m.features_of(table.moments)
+    network.cover(features)
+    np.testing.assert_allclose(
+        network.predict(table.moments).theta, residual.compose(closed, np.zeros((len(table), 5)))
+    )
+    adam, index = Adam(network.chain.weights.size), np.arange(len(table))
+    first = last = 0.0
+    for step in range(150):
+        out = network.chain.forward(network.normalised(features), keep=True)
+        last, gradient = loss_of(table, index, closed, out.astype(float))
+        first = first if step else last
+        network.chain.backward((gradient / len(table)).astype(np.float32))
+        adam.step(network.chain.weights, network.chain.gradient, 3e-3)
+    assert last < first - 0.3  # 1.3 dB
+
+
+def test_normals_are_lifted_and_pulled_back():
+    rng = np.random.default_rng(8)
+    xy = np.concatenate([rng.uniform(-0.6, 0.6, (20, 2)), rng.uniform(1.0, 2.0, (5, 2))])
+    np.testing.assert_allclose(np.linalg.norm(lifted(xy), axis=1), 1.0, rtol=1e-12)
+    weigh = rng.standard_normal((25, 3))
+    for k in range(2):
+        by = np.eye(2)[k] * 1e-6
+        quotient = ((lifted(xy + by) - lifted(xy - by)) * weigh).sum(axis=1) / 2e-6
+        np.testing.assert_allclose(quotient, lift_back(xy, weigh)[:, k], rtol=1e-5, atol=1e-7)
+
+
+def test_pooling_and_its_transpose():
+    rng = np.random.default_rng(9)
+    code, other = rng.standard_normal((8, 8, 3)), rng.standard_normal((4, 4, 3))
+    assert (pooled(code) * other).sum() == pytest.approx((code * spread_back(other)).sum(), rel=1e-6)
+
+
+def test_trilinear_weights_read_a_ramp():
+    """What is linear in x, y and the level is read exactly, away from the borders."""
+    rng = np.random.default_rng(10)
+    ramps = []
+    for level in range(LEVELS):
+        side = SIDE >> level
+        centres = (np.arange(side) + 0.5) * (1 << level)
+        ramps.append((2.0 * centres[None, :] - centres[:, None] + 5.0 * level).reshape(-1))
+    pyramid = np.concatenate(ramps)
+    assert len(pyramid) == TEXELS
+    x, y = rng.uniform(9, 23, 30), rng.uniform(9, 23, 30)
+    taps, shares = trilinear(x, y, 2.4)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    np.testing.assert_allclose((pyramid[taps] * shares).sum(axis=1), 2.0 * x - y + 12.0)
+
+
+@pytest.fixture(scope="module")
+def crop():
+    base = bumpy(SIDE, seed=11)
+    return crop_of(base.normal, base.log_roughness, luminance_of(base.specular), np.random.default_rng(12))
+
+
+def test_gradient_of_the_interpolated_loss(crop):
+    rng = np.random.default_rng(13)
+    said = np.zeros((TEXELS, 6))
+    said[:, 2:4] = -4.0
+    said += rng.normal(0.0, 0.05, said.shape)
+    _, gradient = interpolated_loss(said, crop)
+    direction = gradient / np.linalg.norm(gradient)
+    direction[:, 5] = 0.0  # the scale's loss is another function
+    step = 1e-2
+    quotient = (
+        interpolated_loss(said + step * direction, crop)[0] - interpolated_loss(said - step * direction, crop)[0]
+    ) / (2 * step)
+    assert quotient == pytest.approx(float((gradient * direction).sum()), rel=QUOTIENT)
+
+
+def test_the_latent_networks_start_as_averaging_and_learn(crop):
+    networks = LatentNetworks(np.random.default_rng(14))
+    networks.whiten_by(crop.inputs.reshape(-1, INPUTS))
+    code = networks.encode(crop.inputs)
+    np.testing.assert_allclose(code[..., :INPUTS], (crop.inputs - networks.mean) @ networks.whiten, atol=1e-4)
+    optimisers = [(each, Adam(each.weights.size, (0.95, 0.95), 1e-6)) for each in (networks.encoder, networks.decoder)]
+    losses = []
+    for _ in range(60):
+        losses.append(learn_crop(networks, crop))
+        for network, adam in optimisers:
+            adam.step(network.weights, network.gradient, 5e-4)
+    assert losses[-1] < losses[0] - 0.3
+
+
+def test_tiles_make_no_difference():
+    """A texture larger than a tile is encoded as if it were one."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    networks = LatentNetworks(np.random.default_rng(15))
+    svbrdf = bumpy(128, seed=16)
+    with ThreadPoolExecutor(2) as pool:
+        code = encode_image(networks, svbrdf, pool)
+        rolled = encode_image(
+            networks, svbrdf.replace(**{name: np.roll(getattr(svbrdf, name), (37, 50), (0, 1)) for name in
+                                        ("normal", "log_roughness", "specular")}), pool,
+        )  # fmt: skip
+    np.testing.assert_allclose(np.roll(code, (37, 50), (0, 1)), rolled, atol=1e-4)
+    inputs = inputs_of(svbrdf.normal, svbrdf.log_roughness, luminance_of(svbrdf.specular))
+    inner = slice(16, -16)
+    np.testing.assert_allclose(code[inner, inner], networks.encode(inputs)[inner, inner], atol=1e-4)
+
+
+def test_masks_and_bounds():
+    mask = noise_mask(np.random.default_rng(17))
+    assert mask.shape == (SIDE, SIDE) and 0.05 < mask.mean() < 0.95
+    tensor = within(np.array([[3.0, -30.0, 1.0], [-4.0, -4.0, 0.0]], np.float32))
+    values = np.linalg.eigvalsh(tensor[:, [[0, 2], [2, 1]]].astype(float))
+    assert values.max() < 1e-5 and values.min() > 4 * math.log(0.045) - 1e-5
+    np.testing.assert_allclose(tensor[1], [-4, -4, 0])
+
+
+@pytest.mark.parametrize("name", ["learned"])
+class TestMethods:
+    def test_levels_are_lobes(self, name):
+        svbrdf = bumpy(48)
+        pyramid = bake(svbrdf, name)
+        assert [level.svbrdf.size for level in pyramid.levels][:3] == [(48, 48), (24, 24), (12, 12)]
+        for level in pyramid.levels:
+            assert level.svbrdf.is_finite()
+            np.testing.assert_allclose(np.linalg.norm(level.svbrdf.normal, axis=2), 1.0, atol=1e-5)
+            assert (level.svbrdf.log_roughness[..., :2] < 1e-4).all()
+
+    def test_threads_do_not_matter(self, name):
+        svbrdf = bumpy(100)
+        one, two = (bake(svbrdf, name, threads=n) for n in (1, 2))
+        for a, b in zip(one.levels, two.levels, strict=True):
+            for array, other in zip(a.svbrdf.arrays().values(), b.svbrdf.arrays().values(), strict=True):
+                assert array.tobytes() == other.tobytes()
+
+    def test_other_models_are_refused(self, name):
+        with pytest.raises(InputError, match="are for the lobe model 'ggx', not for 'beckmann'"):
+            bake(bumpy(16), name, model="beckmann")
+
+    def test_shipped_weights_say_where_they_come_from(self, name):
+        from brdffit.learned.latent import load_networks
+        from brdffit.learned.network import load_network
+
+        _, meta = load_network() if name == "learned" else load_networks()
+        assert meta["kind"] == name and meta["model"] == "ggx"
+        assert len(meta["held_out_sets"]) >= 4
+        assert not set(meta["held_out_sets"]) & set(meta["training_sets"])
+        assert meta["steps"] > 1000 and len(meta["digest"]) == 64
+
+
+def test_the_shipped_network_beats_its_closed_form():
+    from brdffit.learned.network import load_network
+    from brdffit.learned.residual_training import error_of
+
+    network, _ = load_network()
+    table = footprints(bumpy(128, seed=20, steepness=0.15), 2, 200, np.random.default_rng(21))
+    _, closed = m.features_of(table.moments)
+    before = errors_of(table, np.arange(len(table)), residual.compose(closed, np.zeros((len(table), 5)))).error
+    assert error_of(network, table).mean() < 0.8 * before.mean()  # 1 dB
+
+
+def test_strange_texels_are_fitted_and_counted():
+    strange = bumpy(32, steepness=8.0, roughness=(0.05, 0.06))
+    notes = bake(strange, "learned").notes
+    assert any("unlike what the network was trained on" in note for note in notes)
+
+
+def write_set(folder, svbrdf):
+    from brdffit.files.image_io import write_png
+
+    folder.mkdir()
+    write_png(folder / "x_NormalGL.png", np.rint((0.5 * svbrdf.normal + 0.5) * 65535).astype(np.uint16))
+    rough = np.exp(svbrdf.log_roughness[..., 0] / 4)
+    write_png(folder / "x_Roughness.png", np.rint(rough * 255).astype(np.uint8))
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["learned", "latent"])
+def test_training_by_command_repeats_and_resumes(kind, tmp_path, monkeypatch):
+    from brdffit.learned import latent_training, residual_training, training
+    from brdffit.nets.weights import read_weights
+
+    monkeypatch.setattr(latent_training, "CROPS", 8)
+    monkeypatch.setattr(latent_training.LatentTask.__init__, "__defaults__", (8,))
+    monkeypatch.setattr(residual_training.ResidualTask.__init__, "__defaults__", (600,))
+    monkeypatch.setattr(training, "_FIGURE_SECONDS", 0.0)
+    one, two = write_set(tmp_path / "one", bumpy(64)), write_set(tmp_path / "two", bumpy(64, seed=3))
+    run = CliRunner()
+    first, again = tmp_path / "a.npz", tmp_path / "b.npz"
+    for output in (first, again):
+        asked = ["learn", kind, str(one), "--held-out", str(two), "-o", str(output), "--steps", "6"]
+        result = run.invoke(main, asked)
+        assert result.exit_code == 0, result.output
+    assert first.with_suffix(".svg").is_file() and not training.checkpoint_path(first).exists()
+    (arrays, meta), (others, _) = read_weights(first, kind), read_weights(again, kind)
+    assert all(np.array_equal(arrays[name], others[name]) for name in arrays)
+    assert meta["held_out_sets"] == ["two"] and list(meta["training_sets"]) == ["one"] and meta["steps"] == 6
+    result = run.invoke(main, ["learn", kind, str(one), "-o", str(first), "--steps", "6", "--resume"])
+    assert result.exit_code == 1 and "There is no checkpoint" in result.output
+
+
+def test_a_stopped_training_goes_on_where_it_was(tmp_path, monkeypatch):
+    """Six steps at a stretch, and three, a crash and three more, are the same."""
+    from brdffit.learned import residual_training, training
+    from brdffit.nets.weights import read_weights
+
+    monkeypatch.setattr(training, "_FIGURE_SECONDS", 0.0)
+    source = write_set(tmp_path / "one", bumpy(64))
+
+    def task():
+        return residual_training.ResidualTask([source], [], 0, texels=600)
+
+    whole, parts = tmp_path / "whole.npz", tmp_path / "parts.npz"
+    training.train(task(), whole, minutes=None, steps=6)
+    stopped = task()
+    original, taken = stopped.accumulate, []
+
+    def until_the_crash(rng):
+        if len(taken) == 3:
+            raise KeyboardInterrupt
+        taken.append(1)
+        return original(rng)
+
+    monkeypatch.setattr(stopped, "accumulate", until_the_crash)
+    with pytest.raises(KeyboardInterrupt):
+        training.train(stopped, parts, minutes=None, steps=6)
+    training.train(task(), parts, minutes=None, steps=6, resume=True)
+    one, two = read_weights(whole, "learned")[0], read_weights(parts, "learned")[0]
+    assert all(np.array_equal(one[name], two[name]) for name in one)
+
+
+def test_bad_command_lines_are_one_sentence(tmp_path):
+    folder = write_set(tmp_path / "one", bumpy(32))
+    run = CliRunner()
+    result = run.invoke(main, ["learn", "learned", str(folder), "--held-out", str(folder), "--steps", "1"])
+    assert result.exit_code == 1 and "to be trained on and held out" in result.output
+    result = run.invoke(main, ["learn", "learned", str(folder), "--steps", "1", "--minutes", "1"])
+    assert result.exit_code == 2
+    result = run.invoke(main, ["learn", "learned", str(folder), "--steps", "1", "-o", str(tmp_path / "weights.txt")])
+    assert result.exit_code == 1 and "ends in .npz" in result.output
