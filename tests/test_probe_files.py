@@ -227,12 +227,18 @@ def test_scaling_keeps_what_clamping_cuts(tmp_path):
     assert max(level.radiance.max() for level in scaled.levels) <= 65504.0
 
 
-def test_no_stored_lobe_is_narrower_than_its_texel(environment):
-    probe = make_probe(environment, ProbeOptions("unreal", size=32, levels=5))
-    assert any("widened" in note for note in probe.notes)
-    for level in probe.levels[1:]:
-        # Full width at half height, 2.57 alpha, in units of a texel of u, 2/n.
-        assert 2.574 * level.request.alpha >= 0.999 * 2.0 / level.request.n
+def test_no_stored_lobe_is_narrower_than_its_texel(tmp_path):
+    """Narrow lobes are averaged over their texels: a lamp of one texel gives its energy wherever it lies."""
+    for column in range(40, 46):
+        picture = np.full((128, 256, 3), 0.01, np.float32)
+        picture[40, column] = 1000.0
+        write_exr(tmp_path / "lamp.exr", picture)
+        averaged = make_probe(tmp_path / "lamp.exr", ProbeOptions("unreal", size=64, levels=5, tolerance=0.002))
+        assert any("averaged" in note for note in averaged.notes)
+        assert averaged.levels[1].request.points == 2
+        assert averaged.levels[1].energy == pytest.approx(1.0, abs=5e-3)
+    centre = make_probe(tmp_path / "lamp.exr", ProbeOptions("unreal", size=64, levels=5, keep_narrow=True))
+    assert abs(centre.levels[1].energy - 1.0) > 0.02
 
 
 @pytest.mark.parametrize(

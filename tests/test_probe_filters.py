@@ -20,7 +20,7 @@ from brdffit.probes.harmonics import (
     zonal_coefficients,
 )
 from brdffit.probes.importance import filtered_by_importance, preimage_errors
-from brdffit.probes.lobe import half_width, lobe, lobe_integral, widened
+from brdffit.probes.lobe import half_width, is_narrow, lobe, lobe_integral
 from brdffit.probes.reading import Surroundings, as_cube, reoriented
 from brdffit.probes.table_fit import chosen_texels
 from brdffit.probes.tables import Goal
@@ -37,14 +37,13 @@ def test_the_integral_of_the_lobe(alpha):
     assert lobe_integral(alpha) == pytest.approx(numeric, rel=1e-7)
 
 
-def test_half_width_and_widening():
+def test_half_width_and_narrow_lobes():
     alpha = 0.01
     assert lobe(np.array(1.0 - np.cos(half_width(alpha))), alpha) == pytest.approx(
         0.5 * lobe(np.zeros(()), alpha), rel=1e-3
     )
-    # Two half widths of the widened lobe are the two units of u over n texels.
-    assert 2.0 * half_width(widened(0.0, 64)) == pytest.approx(2.0 / 64)
-    assert widened(0.3, 64) == 0.3
+    # A texel of 64 is 1/32 wide in u; twice 1.287 alpha is as much at alpha = 0.0121.
+    assert is_narrow(0.012, 64) and not is_narrow(0.0122, 64)
 
 
 @pytest.mark.parametrize("name", CURVES)

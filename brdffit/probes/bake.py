@@ -53,7 +53,7 @@ class ProbeOptions:
         method, tolerance, samples, order, table: how levels are filtered (``filtering.FilterOptions``).
         split: bright texels above this times the mean apart; for "exr" they are left out of level 0.
         level0: "copy" or "filter".
-        keep_narrow: store lobes narrower than a texel as they are.
+        keep_narrow: sample lobes that are narrower than a texel at its centre.
         fit: "texels" (exact values at the texels) or "lookup" (values whose trilinear look-up is nearest the truth).
         rotate: degrees about +Y, from +X towards -Z.
         layout: of the input, instead of guessing.
@@ -149,12 +149,14 @@ def make_probe(
     filtering = FilterOptions(
         options.method, options.tolerance, options.split, options.samples, options.order, tables, threads
     )
-    requests = level_requests(curve, preset.size, options.level0 == "copy", options.keep_narrow)
+    # What the other methods make is one lobe a texel.
+    keep_narrow = options.keep_narrow or options.method not in ("tree", "brute")
+    requests = level_requests(curve, preset.size, source.shape[1], options.level0 == "copy", keep_narrow)
     began = time.perf_counter()
     levels = filter_levels(source, requests, filtering, listener=listener)
-    narrow = [str(each.level) for each in requests if each.is_widened and each.alpha > 0.0]
+    narrow = [str(each.level) for each in requests if each.points > 1]
     if narrow:
-        notes.append(f"Lobes of level {', '.join(narrow)} are narrower than a texel there and were widened to one.")
+        notes.append(f"Lobes of level {', '.join(narrow)} are narrower than a texel there and were averaged over it.")
     if options.fit == "lookup":
         from brdffit.probes.lookup import fitted_to_lookup
 
@@ -291,8 +293,7 @@ def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], comman
             "level": each.request.level,
             "size": each.request.n,
             "roughness": round(each.request.roughness, 6),
-            "stored_roughness": round(each.request.alpha**0.5, 6),
-            "widened": each.request.is_widened and each.request.alpha > 0.0,
+            "averaged_over_texels": each.request.points > 1,
             "error": None if each.error is None else round(each.error, 6),
             "bias": None if each.bias is None else round(each.bias, 6),
             "energy": round(each.energy, 6),

@@ -55,7 +55,7 @@ def probe() -> None:
 @click.option("--table", default="ggx-quadratic-8", help="Of --method table: a shipped one or a file.")
 @click.option("--split", type=click.FloatRange(min=1.0), metavar="X", help="Take out what is X times the mean.")
 @click.option("--level0", type=click.Choice(["copy", "filter"]), default="copy", help="A mirror, or filtered too.")
-@click.option("--keep-narrow", is_flag=True, help="Do not widen lobes that are narrower than a texel.")
+@click.option("--keep-narrow", is_flag=True, help="Sample lobes narrower than a texel at its centre only.")
 @click.option(
     "--fit", type=click.Choice(["texels", "lookup"]), default="texels", help="lookup: for trilinear look-ups."
 )

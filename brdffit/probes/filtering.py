@@ -14,18 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
-from brdffit.probes.cubemap import directions, mean_radiance, resized
+from brdffit.probes.cubemap import directions, mean_radiance, resized, solid_angles
 from brdffit.probes.curves import Curve
 from brdffit.probes.direct import add_bright, filtered_exactly, packed_source, split_bright
 from brdffit.probes.harmonics import filtered_by_harmonics
 from brdffit.probes.importance import filtered_by_importance
-from brdffit.probes.lobe import widened
+from brdffit.probes.lobe import is_narrow
 from brdffit.probes.tables import BASE_SIZE, filtered_by_table
 from brdffit.probes.tree import Tree, tau_for
 
 METHODS = ("tree", "brute", "table", "importance", "sh")
 #: Texels of a level that are held against brute force.
 MEASURED = 64
+#: A mirror's lobe where level 0 is filtered.
+_LEAST_ALPHA = 1e-3
 #: How often a level is filtered anew when it missed the tolerance.
 _TRIES = 4
 
@@ -38,18 +40,15 @@ class LevelRequest:
         level: its number.
         n: texels along a face.
         roughness: perceptual roughness that a shader looks up there.
-        alpha: of the lobe that is stored, not narrower than a texel; 0 for a copy of the source.
+        alpha: of the lobe; 0 for a copy of the source.
+        points: a texel is the mean of points^2 lobes around directions within it, for lobes that are narrower than it.
     """
 
     level: int
     n: int
     roughness: float
     alpha: float
-
-    @property
-    def is_widened(self) -> bool:
-        """Whether the stored lobe is wider than the roughness says."""
-        return self.alpha > 1.0001 * self.roughness**2
+    points: int = 1
 
 
 @dataclass(frozen=True)
@@ -76,20 +75,27 @@ class FilteredLevel:
     tau: float | None = None
 
 
-def level_requests(curve: Curve, size: int, copy_first: bool = True, keep_narrow: bool = False) -> list[LevelRequest]:
+def level_requests(
+    curve: Curve, size: int, source_size: int, copy_first: bool = True, keep_narrow: bool = False
+) -> list[LevelRequest]:
     """The levels of a curve on a cube of ``size``: half the size each, never below 1.
 
     Args:
         curve: roughness of the levels.
         size: texels along a face of level 0.
+        source_size: texels along a face of what is filtered.
         copy_first: level 0 is the source itself, a mirror.
-        keep_narrow: do not widen lobes that are narrower than a texel.
+        keep_narrow: do not average lobes that are narrower than a texel over it.
     """
     out = []
     for level, alpha in enumerate(curve.alphas()):
         n = max(size >> level, 1)
-        stored = 0.0 if level == 0 and copy_first else alpha if keep_narrow else min(widened(alpha, n), 1.0)
-        out.append(LevelRequest(level, n, float(np.sqrt(alpha)), stored))
+        stored = 0.0 if level == 0 and copy_first else max(alpha, _LEAST_ALPHA)
+        # No more points than the source has texels there: a lobe around one of those is about that texel.
+        fits = not keep_narrow and stored > 0.0 and is_narrow(stored, n)
+        out.append(
+            LevelRequest(level, n, float(np.sqrt(alpha)), stored, min(max(source_size // n, 1), 2) if fits else 1)
+        )
     return out
 
 
@@ -101,13 +107,24 @@ def sampled_texels(n: int, count: int = MEASURED, seed: int = 0) -> NDArray:
     return np.sort(np.random.default_rng([seed, n]).choice(total, count, replace=False))
 
 
+def points_of(n: int, points: int) -> tuple[NDArray, NDArray]:
+    """(6 n^2, points^2, 3) directions within each texel, and their shares of its solid angle."""
+    shape = (6, n, points, n, points)
+    at = directions(n * points).reshape(*shape, 3).transpose(0, 1, 3, 2, 4, 5).reshape(6 * n * n, points**2, 3)
+    whole = np.broadcast_to(solid_angles(n * points), (6, n * points, n * points)).reshape(shape)
+    share = whole.transpose(0, 1, 3, 2, 4).reshape(6 * n * n, points**2)
+    return at, share / share.sum(axis=1, keepdims=True)
+
+
 def measured_error(
-    radiance: NDArray, alpha: float, source: NDArray, count: int = MEASURED, threads: int = 1
+    radiance: NDArray, alpha: float, source: NDArray, count: int = MEASURED, threads: int = 1, points: int = 1
 ) -> tuple[float, float]:
     """Relative L1 of a level against brute force over a ``packed_source``, on sampled texels, and the relative bias."""
     n = radiance.shape[1]
     chosen = sampled_texels(n, count)
-    exact = filtered_exactly(source, directions(n).reshape(-1, 3)[chosen], alpha, threads)
+    at, share = points_of(n, points)
+    exact = filtered_exactly(source, at[chosen].reshape(-1, 3), alpha, threads).reshape(-1, points**2, 3)
+    exact = (exact * share[chosen][..., None]).sum(axis=1)
     total = float(np.abs(exact).sum())
     difference = radiance.reshape(-1, 3)[chosen] - exact
     scale = 1.0 / total if total > 0.0 else 1.0
@@ -160,7 +177,9 @@ def filter_levels(
             radiance, error, bias = make(request, tau), None, None
         seconds = time.process_time() - began
         for attempt in range(_TRIES if measure and request.alpha > 0.0 else 0):
-            error, bias = measured_error(radiance, request.alpha, source, threads=options.threads)
+            error, bias = measured_error(
+                radiance, request.alpha, source, threads=options.threads, points=request.points
+            )
             if tau is None or error <= options.tolerance or attempt == _TRIES - 1:
                 break
             # The error goes as the root of tau.
@@ -180,15 +199,18 @@ def _maker(cube: NDArray, source: NDArray, options: FilterOptions) -> Callable[[
     method, threads = options.method, options.threads
     if method == "tree":
         tree = Tree(cube)
-        return lambda request, tau: tree.level(request.n, request.alpha, tau or 0.0, threads)
+        return lambda request, tau: resized(
+            tree.level(request.n * request.points, request.alpha, tau or 0.0, threads), request.n
+        )
     rest, points = split_bright(cube, options.split) if options.split else (cube, None)
 
     def whole(level: NDArray, alpha: float) -> NDArray:
         return level if points is None else add_bright(level, points, alpha, threads)
 
     def brute(request: LevelRequest, tau: float | None) -> NDArray:
-        normals = directions(request.n).reshape(-1, 3)
-        return filtered_exactly(source, normals, request.alpha, threads).reshape(6, request.n, request.n, 3)
+        fine = request.n * request.points
+        normals = directions(fine).reshape(-1, 3)
+        return resized(filtered_exactly(source, normals, request.alpha, threads).reshape(6, fine, fine, 3), request.n)
 
     def importance(request: LevelRequest, tau: float | None) -> NDArray:
         made = filtered_by_importance(rest, [(request.n, request.alpha)], options.samples, threads)[0]

@@ -43,9 +43,9 @@ def half_width(alpha: float) -> float:
     return _HALF_WIDTH * alpha
 
 
-def widened(alpha: float, n: int) -> float:
-    """``alpha``, or the alpha of a lobe whose width at half its height is one texel of faces of n^2, if that is more.
+def is_narrow(alpha: float, n: int) -> bool:
+    """Whether a lobe's width at half its height is less than a texel of faces of n^2 (2/n in u).
 
-    A narrower one falls between the texels: what is stored then hangs on where their centres lie.
+    Such a lobe falls between the texels: what is stored at their centres hangs on where these lie.
     """
-    return max(alpha, (1.0 / n) / _HALF_WIDTH)
+    return 2.0 * half_width(alpha) < 2.0 / n

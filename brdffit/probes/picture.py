@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from brdffit.files.image_io import write_png
-from brdffit.probes.cubemap import look_up, look_up_trilinear
+from brdffit.probes.cubemap import look_up, look_up_trilinear, resized
 from brdffit.probes.tree import Tree, tau_for
 
 if TYPE_CHECKING:
@@ -37,7 +37,8 @@ def probe_picture(probe: Probe, path: Path, tolerance: float, threads: int) -> N
         stored = look_up(level.radiance, at) / probe.scale
         n = level.request.n
         # Exact at the stored texels and looked up alike: the difference is the filter's, not the look-up's.
-        exact = look_up(tree.level(n, max(level.request.alpha, 1e-3), tau, threads), at)
+        points = level.request.points
+        exact = look_up(resized(tree.level(n * points, level.request.alpha, tau, threads), n), at)
         difference = np.abs(stored - exact)
         error = "" if level.error is None else f", error {level.error:.2%}"
         title = f"level {level.request.level}: {n}x{n}, roughness {level.request.roughness:.2f}{error}"

@@ -39,3 +39,53 @@ def dfg_table(size: int = 64) -> NDArray:
     """(size, size, 2) float32: columns n.v, rows perceptual roughness, both at (k + 1/2)/size, row 0 the smoothest."""
     at = (np.arange(size) + 0.5) / size
     return np.stack([scale_and_bias(at, max(r * r, 1e-4)) for r in at]).astype(np.float32)
+
+
+def split_errors(cubes: list[NDArray], count: int, threads: int = 1) -> dict[str, list]:
+    """Relative L1 of the split sum against the true integral, over ``count`` random viewers, for F0 = 1.
+
+    The truth is E[L(l) W] over half vectors drawn from D (n.h), each sample's radiance read from a pyramid of means at
+    the level of its solid angle; the split sum reads K around the mirrored direction, times E[W].
+    """
+    from brdffit.probes.cubemap import halved, look_up_trilinear, resized
+    from brdffit.probes.lookup import random_directions
+    from brdffit.probes.tree import Tree, tau_for
+
+    cosines, roughnesses, samples = (0.95, 0.7, 0.4, 0.2), (0.2, 0.6, 1.0), 512
+    index = np.arange(samples)
+    u, turn = (index + 0.5) / samples, 2.0 * np.pi * (index * 0.6180339887498949 % 1.0)
+    errors = np.zeros((len(roughnesses), len(cosines)))
+    for cube in cubes:
+        chain, tree = [resized(cube, min(cube.shape[1], 128))], Tree(cube)
+        while chain[-1].shape[1] > 1:
+            chain.append(halved(chain[-1]))
+        texel = 4.0 * np.pi / (6 * chain[0].shape[1] ** 2)
+        for a, roughness in enumerate(roughnesses):
+            alpha = roughness**2
+            cos_h = np.sqrt((1.0 - u) / (1.0 + (alpha * alpha - 1.0) * u))
+            sin_h = np.sqrt(1.0 - cos_h**2)
+            half = np.stack([sin_h * np.cos(turn), sin_h * np.sin(turn), cos_h], axis=1)
+            density = alpha**2 / (np.pi * ((alpha**2 - 1.0) * cos_h**2 + 1.0) ** 2)
+            for b, nv in enumerate(cosines):
+                view = np.array([np.sqrt(1.0 - nv * nv), 0.0, nv])
+                vh = half @ view
+                light = 2.0 * vh[:, None] * half - view
+                nl = light[:, 2]
+                above = (nl > 0.0) & (vh > 0.0)
+                lit = nl * np.sqrt(alpha**2 + (1 - alpha**2) * nv**2) + nv * np.sqrt(alpha**2 + (1 - alpha**2) * nl**2)
+                weight = np.where(above, 2.0 * nl * vh / (np.maximum(lit, 1e-9) * cos_h), 0.0) / samples
+                # A sample stands for 4 v.h / (N D n.h) of solid angle.
+                angle = 4.0 * np.maximum(vh, 1e-3) / (samples * density * cos_h)
+                level = 0.5 * np.log2(np.maximum(angle / texel, 1.0))
+                normal = random_directions(count, 7)
+                side = np.cross(normal, random_directions(count, 8))
+                side /= np.linalg.norm(side, axis=1, keepdims=True)
+                other = np.cross(normal, side)
+                true = np.zeros((count, 3))
+                for k in np.flatnonzero(above):
+                    at = side * light[k, 0] + other * light[k, 1] + normal * nl[k]
+                    true += weight[k] * look_up_trilinear(chain, at, np.full(count, level[k]))
+                mirrored = 2.0 * nv * normal - (side * view[0] + normal * nv)
+                split = tree.filtered(mirrored, alpha, tau_for(0.005), threads) * weight.sum()
+                errors[a, b] += np.abs(split - true).sum() / true.sum() / len(cubes)
+    return {"roughness": list(roughnesses), "cosines": list(cosines), "errors": errors.round(4).tolist()}

@@ -33,6 +33,7 @@ class TableFile:
         curve: name of the roughness curve that it is valid for; "irradiance" for the clamped cosine.
         levels: table (5, terms, 3 taps) of each level; None where there is none.
         sizes: texels along a face of each level with a table.
+        seconds: processor time that each level took to fit.
         errors: mean L1 of the preimage on held-out texels, of each level with a table.
         record: everything the file says besides.
     """
@@ -42,6 +43,7 @@ class TableFile:
     levels: list[NDArray | None]
     sizes: dict[int, int]
     errors: dict[int, float]
+    seconds: dict[int, float]
     record: dict
 
 
@@ -77,12 +79,13 @@ def _read(path: Path) -> dict:
 
 def _parsed(path: Path, record: dict) -> TableFile:
     levels: list[NDArray | None] = [None] * LEVELS
+    seconds = {each["level"]: each["seconds"] for each in record["levels"]}
     sizes, errors = {}, {}
     for each in record["levels"]:
         levels[each["level"]] = np.array(each["table"])
         sizes[each["level"]], errors[each["level"]] = each["size"], each["error"]
     return TableFile(
-        path.stem, record["curve"], levels, sizes, errors, {k: v for k, v in record.items() if k != "levels"}
+        path.stem, record["curve"], levels, sizes, errors, seconds, {k: v for k, v in record.items() if k != "levels"}
     )
 
 

@@ -1,0 +1,200 @@
+"""All methods on the same environments: error against time, the paper's tables beside ours, what a look-up adds."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.files.atomic import first_other, replacing
+from brdffit.probes.compare_page import page
+from brdffit.probes.cubemap import directions
+from brdffit.probes.curves import get_curve
+from brdffit.probes.direct import filtered_exactly, packed_source
+from brdffit.probes.filtering import FilterOptions, LevelRequest, filter_levels, level_requests, sampled_texels
+from brdffit.probes.harmonics import truncation_error
+from brdffit.probes.importance import preimage_errors
+from brdffit.probes.lookup import fitted_to_lookup, lookup_errors
+from brdffit.probes.parallel import default_threads
+from brdffit.probes.published import TABLE_1, TABLE_1_SAMPLES, TABLE_3, TABLE_3_ORDERS
+from brdffit.probes.reading import as_cube, read_surroundings
+from brdffit.probes.report_pictures import draw_front, draw_levels, draw_point_responses
+from brdffit.probes.shelf import find_environments
+from brdffit.probes.split_sum import split_errors
+from brdffit.probes.table_files import load_table, shipped_tables
+from brdffit.probes.table_fit import chosen_texels
+from brdffit.probes.tables import BASE_SIZE, Goal
+from brdffit.probes.tree import Tree
+
+_LEVELS = 7
+#: Engines whose look-up is measured: curve, levels.
+_LOOKUPS = (("activision", 7), ("quadratic", 7), ("quadratic", 5), ("linear", 7), ("unity", 7), ("unreal", 8))
+_FILES = ("index.html", "records.json", "front.png", "points.png")
+
+
+def compare_to_folder(
+    sources: Sequence[Path], output: Path, quick: bool, threads: int | None, tell: Callable[[str], None]
+) -> Path:
+    """Measure everything on every environment and write index.html, records.json and pictures; returns the page.
+
+    Raises:
+        InputError: when an environment cannot be used.
+        OutputError: when the folder cannot be written.
+    """
+    threads = threads or default_threads()
+    paths = [each for source in sources for each in find_environments(source)]
+    cubes = {path.stem: as_cube(read_surroundings(path), BASE_SIZE, threads=threads) for path in paths}
+    with replacing(output, _foreign) as folder:
+        records: dict[str, Any] = {"brdffit": version("brdffit"), "environments": list(cubes), "quick": quick}
+        records["preimages"] = preimage_tables(24 if quick else 96, tell)
+        records["methods"] = []
+        for name, cube in cubes.items():
+            tell(f"{name}: methods")
+            records["methods"] += measure_methods(name, cube, threads, 64 if quick else 256)
+        records["lookup"] = []
+        for name, cube in cubes.items():
+            tell(f"{name}: look-ups")
+            records["lookup"] += measure_lookups(name, cube, threads, 300 if quick else 1500)
+        records["split_sum"] = split_errors(list(cubes.values()), 200 if quick else 1000, threads)
+        draw_front(records["methods"], folder / "front.png")
+        draw_point_responses(folder / "points.png")
+        for name, cube in cubes.items():
+            draw_levels(cube, folder / f"levels-{name}.png", threads)
+        (folder / "records.json").write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
+        (folder / "index.html").write_text(page(records), encoding="utf-8")
+    return output / "index.html"
+
+
+def _foreign(folder: Path) -> str | None:
+    ours = {*_FILES, *(each.name for each in folder.glob("levels-*.png"))}
+    return first_other(folder, ours)
+
+
+def preimage_tables(count: int, tell: Callable[[str], None]) -> dict[str, Any]:
+    """The paper's tables 1 to 3 measured here: L1 of preimages on ``count`` texels a level."""
+    alphas = get_curve("activision", _LEVELS, BASE_SIZE).alphas()
+    goals = {}
+    for level in range(1, _LEVELS):
+        texels, shares = chosen_texels(BASE_SIZE >> level, "none", count, 2024)
+        goals[level] = Goal.of(texels, alphas[level], shares)
+    out: dict[str, Any] = {"tables": [], "importance": [], "harmonics": [], "irradiance": []}
+    for name in shipped_tables():
+        tell(f"preimages of {name}")
+        table = load_table(name)
+        terms, taps = table.record["terms"], table.record["taps"]
+        if table.curve == "irradiance":
+            level = next(iter(table.errors))
+            texels, shares = chosen_texels(table.sizes[level], "none", count, 2024)
+            error = Goal.of(texels, 1.0, shares).error(_table(table.levels, level))
+            out["irradiance"].append({"table": name, "error": error, "paper": TABLE_3.get((terms, taps))})
+            continue
+        errors = {level: goals[level].error(_table(table.levels, level)) for level in table.errors}
+        out["tables"].append(
+            {
+                "table": name,
+                "levels": {str(level): errors[level] for level in sorted(errors)},
+                "mean": float(np.mean(list(errors.values()))) if len(errors) == 6 else None,
+                "paper": TABLE_1.get((terms, taps)),
+                "seconds": sum(each for each in table.seconds.values()),
+            }
+        )
+    for samples, printed in TABLE_1_SAMPLES.items():
+        if samples > 1024:
+            continue
+        tell(f"preimages of importance sampling, {samples} samples")
+        levels = {
+            str(level): float(preimage_errors(goal, alphas[level], samples).mean()) for level, goal in goals.items()
+        }
+        mean = float(np.mean(list(levels.values())))
+        out["importance"].append({"samples": samples, "levels": levels, "mean": mean, "paper": printed})
+    for order, printed in TABLE_3_ORDERS.items():
+        out["harmonics"].append({"order": order, "error": truncation_error(order), "paper": printed})
+    return out
+
+
+def _table(levels: list[NDArray | None], level: int) -> NDArray:
+    table = levels[level]
+    assert table is not None
+    return table
+
+
+def _methods() -> list[tuple[str, FilterOptions]]:
+    """Names and options of what is compared."""
+    out = [(f"tree {tolerance:g}", FilterOptions("tree", tolerance)) for tolerance in (0.02, 0.005, 0.001)]
+    for name in shipped_tables():
+        table = load_table(name)
+        if table.curve != "irradiance" and len(table.errors) == 6:
+            out.append((name, FilterOptions("table", tables=table.levels)))
+            out.append((f"{name}, split 10", FilterOptions("table", tables=table.levels, split=10.0)))
+    for samples in (32, 128, 1024):
+        out.append((f"importance {samples}", FilterOptions("importance", samples=samples)))
+    out.append(("importance 128, split 10", FilterOptions("importance", samples=128, split=10.0)))
+    return out
+
+
+def measure_methods(name: str, cube: NDArray, threads: int, count: int) -> list[dict[str, Any]]:
+    """Error and processor seconds of every method on levels 1 to 6 of one environment; brute force's time besides."""
+    curve = get_curve("activision", _LEVELS, BASE_SIZE)
+    requests = level_requests(curve, BASE_SIZE, BASE_SIZE, keep_narrow=True)[1:]
+    source = packed_source(cube)
+    exact, seconds = {}, 0.0
+    for request in requests:
+        chosen = sampled_texels(request.n, count)
+        began = time.process_time()
+        exact[request.level] = filtered_exactly(
+            source, directions(request.n).reshape(-1, 3)[chosen], request.alpha, threads
+        )
+        seconds += (time.process_time() - began) * 6 * request.n**2 / len(chosen)
+    records = [{"environment": name, "method": "brute force", "error": 0.0, "worst": 0.0, "seconds": seconds}]
+    for method, options in _methods():
+        warm = [LevelRequest(6, 2, 1.0, 1.0)]
+        filter_levels(cube, warm, _with_threads(options, threads), measure=False)
+        began = time.process_time()
+        levels = filter_levels(cube, requests, _with_threads(options, threads), measure=False)
+        spent = time.process_time() - began
+        errors, worst = [], []
+        for level in levels:
+            chosen = sampled_texels(level.request.n, count)
+            found, wanted = level.radiance.reshape(-1, 3)[chosen], exact[level.request.level]
+            distance = np.abs(found - wanted).sum(axis=1)
+            errors.append(float(distance.sum() / wanted.sum()))
+            worst.append(float(np.percentile(distance / np.maximum(wanted.sum(axis=1), 1e-12), 99.0)))
+        records.append(
+            {
+                "environment": name,
+                "method": method,
+                "error": float(np.mean(errors)),
+                "worst": float(np.max(worst)),
+                "seconds": spent,
+                "levels": [round(each, 6) for each in errors],
+            }
+        )
+    return records
+
+
+def _with_threads(options: FilterOptions, threads: int) -> FilterOptions:
+    from dataclasses import replace
+
+    return replace(options, threads=threads)
+
+
+def measure_lookups(name: str, cube: NDArray, threads: int, count: int) -> list[dict[str, Any]]:
+    """What each engine's look-up errs by on exact texels, and Filament's after the fit."""
+    tree = Tree(cube)
+    records = []
+    for curve_name, levels in _LOOKUPS:
+        curve = get_curve(curve_name, levels, BASE_SIZE)
+        requests = level_requests(curve, BASE_SIZE, BASE_SIZE)
+        made = [each.radiance for each in filter_levels(cube, requests, FilterOptions(tolerance=0.003), measure=False)]
+        error = float(lookup_errors(tree, made, curve, threads, count).mean())
+        record = {"environment": name, "curve": curve_name, "levels": levels, "error": error}
+        if (curve_name, levels) == ("quadratic", 7):
+            record["fitted"] = fitted_to_lookup(cube, made, curve, threads)[2]
+        records.append(record)
+    return records

@@ -1,0 +1,143 @@
+"""The page of the comparison: tables and pictures from its records."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from brdffit.probes.published import TABLE_2
+from brdffit.probes.tables import BASE_SIZE
+
+_LEVELS = 7
+
+
+def page(records: dict[str, Any]) -> str:
+    """The report as one HTML page."""
+    preimages, methods, split = records["preimages"], records["methods"], records["split_sum"]
+    names = list(dict.fromkeys(each["method"] for each in methods))
+    by = {(each["environment"], each["method"]): each for each in methods}
+    environments = records["environments"]
+    sections = [
+        "<h1>Reflection probes, compared</h1>",
+        f"<p>brdffit {records['brdffit']}, {len(environments)} environments of {BASE_SIZE}&sup2;, "
+        "Activision's roughness curve. Error: sum |a - b| / sum b against brute force, mean of levels 1 to 6. "
+        "Seconds are processor time on this machine; compare ratios.</p>",
+        '<img src="front.png" alt="error over time">',
+        _html_table(
+            ["method", *environments, "mean", "worst texel (99%)", "seconds"],
+            [
+                [
+                    name,
+                    *(_percent(by[e, name]["error"]) for e in environments),
+                    _percent(float(np.mean([by[e, name]["error"] for e in environments]))),
+                    f"{max(by[e, name]['worst'] for e in environments):.3g}",
+                    f"{np.mean([by[e, name]['seconds'] for e in environments]):.2f}",
+                ]
+                for name in names
+            ],
+        ),
+        "<h2>The paper's tables, beside ours</h2>",
+        "<p>L1 between preimages of unit integral, over the sphere (Manson and Sloan 2016, tables 1 to 3). Ours on "
+        "held-out texels. The tables are fitted by <code>brdffit probe table</code>; no number of the "
+        "paper's is used.</p>",
+        _html_table(
+            ["table", *(f"level {level}" for level in range(1, _LEVELS)), "mean", "paper", "processor s to fit"],
+            [
+                [
+                    each["table"],
+                    *(_number(each["levels"].get(str(level))) for level in range(1, _LEVELS)),
+                    _number(each["mean"]),
+                    _number(each["paper"]),
+                    f"{each['seconds']:.0f}",
+                ]
+                for each in preimages["tables"]
+            ]
+            + [
+                [
+                    f"importance sampling, {each['samples']}",
+                    *(_number(each["levels"][str(level)]) for level in range(1, _LEVELS)),
+                    _number(each["mean"]),
+                    _number(each["paper"]),
+                    "",
+                ]
+                for each in preimages["importance"]
+            ]
+            + [
+                [f"paper: {name}", *map(_number, row[1:]), _number(float(np.mean(row[1:]))), "", ""]
+                for name, row in TABLE_2.items()
+            ],
+        ),
+        _html_table(
+            ["irradiance", "error", "paper"],
+            [
+                [f"harmonics of order {e['order']}", _number(e["error"]), _number(e["paper"])]
+                for e in preimages["harmonics"]
+            ]
+            + [[e["table"], _number(e["error"]), _number(e["paper"])] for e in preimages["irradiance"]],
+        ),
+        "<h2>One bright texel in the middle of a face, on an edge, at a corner (figure 8)</h2>",
+        '<img src="points.png" alt="point responses">',
+        "<h2>What the engine's look-up adds</h2>",
+        "<p>Exact texels read trilinearly at 12 roughnesses from 0.05 to 1, in random directions. "
+        "<code>--fit lookup</code> moves the texels to what reads best.</p>",
+        _lookup_table(records["lookup"], environments),
+        "<h2>What the split sum adds</h2>",
+        "<p>Filtered radiance times the table, against the true integral of a white mirror of GGX (F0 = 1). No filter "
+        "mends this.</p>",
+        _html_table(
+            ["roughness", *(f"n.v {nv:g}" for nv in split["cosines"])],
+            [
+                [f"{r:g}", *map(_percent, row)]
+                for r, row in zip(records["split_sum"]["roughness"], records["split_sum"]["errors"], strict=True)
+            ],
+        ),
+        "<h2>Levels 1, 3 and 5 (figure 7)</h2>",
+        *(f'<h3>{escape(name)}</h3><img src="levels-{escape(name)}.png" alt="levels">' for name in environments),
+    ]
+    return _PAGE.replace("BODY", "\n".join(sections))
+
+
+def _lookup_table(records: list[dict[str, Any]], environments: list[str]) -> str:
+    rows = []
+    for curve, levels in dict.fromkeys((each["curve"], each["levels"]) for each in records):
+        found = [each for each in records if (each["curve"], each["levels"]) == (curve, levels)]
+        rows.append([f"{curve}, {levels} levels", *(_percent(each["error"]) for each in found), _mean(found, "error")])
+        if "fitted" in found[0]:
+            rows.append(
+                [f"{curve}, {levels} levels, fitted", *(_percent(e["fitted"]) for e in found), _mean(found, "fitted")]
+            )
+    return _html_table(["curve", *environments, "mean"], rows)
+
+
+def _mean(found: list[dict[str, Any]], key: str) -> str:
+    return _percent(float(np.mean([each[key] for each in found])))
+
+
+def _percent(value: float) -> str:
+    return f"{100.0 * value:.2f}%"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.4f}"
+
+
+def _html_table(head: list[str], rows: list[list[str]]) -> str:
+    top = "".join(f"<th>{escape(each)}</th>" for each in head)
+    body = "\n".join("<tr>" + "".join(f"<td>{escape(each)}</td>" for each in row) + "</tr>" for row in rows)
+    return f"<table><tr>{top}</tr>\n{body}</table>"
+
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>Reflection probes, compared</title>
+<style>
+body { font: 15px/1.5 sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em; color: #222; background: #fff }
+table { border-collapse: collapse; margin: 1em 0; font-variant-numeric: tabular-nums }
+th, td { padding: .2em .7em; border-bottom: 1px solid #ddd; text-align: right }
+th:first-child, td:first-child { text-align: left }
+img { max-width: 100% }
+</style></head><body>
+BODY
+</body></html>
+"""

@@ -1,0 +1,119 @@
+"""Pictures of the comparison: error over time, point responses, and levels beside the exact ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from brdffit.files.image_io import write_png
+from brdffit.probes.cubemap import look_up
+from brdffit.probes.curves import get_curve
+from brdffit.probes.filtering import FilterOptions, LevelRequest, filter_levels
+from brdffit.probes.picture import exposure_of, latlong_directions, toned
+from brdffit.probes.table_files import load_table, shipped_tables
+from brdffit.probes.tables import BASE_SIZE
+
+_WIDTH, _GAP, _TITLE = 224, 6, 18
+
+
+def draw_front(methods: list[dict[str, Any]], path: Path) -> None:
+    """Mean error over mean processor time of each method, on logarithmic axes."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(8.5, 5.0), dpi=110)
+    kinds = {"tree": "C0", "ggx": "C1", "importance": "C2"}
+    for name in dict.fromkeys(each["method"] for each in methods):
+        rows = [each for each in methods if each["method"] == name]
+        seconds = float(np.mean([each["seconds"] for each in rows]))
+        if name == "brute force":
+            axes.axvline(seconds, color="0.6", linestyle=":")
+            axes.annotate("brute force", (seconds, 0.02), rotation=90, ha="right", color="0.4", fontsize=8)
+            continue
+        error = float(np.mean([each["error"] for each in rows]))
+        colour = next(colour for kind, colour in kinds.items() if name.startswith(kind))
+        axes.loglog(seconds, 100.0 * error, "o", color=colour, markerfacecolor="white" if "split" in name else colour)
+        axes.annotate(name, (seconds, 100.0 * error), textcoords="offset points", xytext=(6, 3), fontsize=8)
+    axes.set_xlabel("processor seconds for levels 1 to 6 of a cube of 128")
+    axes.set_ylabel("error, % of radiance")
+    axes.grid(True, which="both", alpha=0.2)
+    figure.tight_layout()
+    figure.savefig(path)
+    pyplot.close(figure)
+
+
+def _methods() -> list[tuple[str, FilterOptions]]:
+    out = [("exact", FilterOptions("tree", 1e-4)), ("tree 0.01", FilterOptions("tree", 0.01))]
+    whole = [name for name in shipped_tables() if len(load_table(name).errors) == 6]
+    out += [(name, FilterOptions("table", tables=load_table(name).levels)) for name in whole]
+    return [*out, ("importance 32", FilterOptions("importance", samples=32))]
+
+
+def draw_point_responses(path: Path) -> None:
+    """Level 3 of a cube with one bright texel: in the middle of a face, on an edge, at a corner (figure 8)."""
+    n, rows = BASE_SIZE, []
+    for title, at in (("middle", (64, 64)), ("edge", (64, 127)), ("corner", (0, 127))):
+        cube = np.zeros((6, n, n, 3), np.float32)
+        cube[4, at[0], at[1]] = 1.0
+        rows.append((f"one texel, {title}", _filtered(cube, 3), (4, at)))
+    pictures = []
+    for title, made, (_, at) in rows:
+        peak = float(made[0][1].max())
+        # Around the texel, whatever face: a small view along its direction.
+        u, v = (2 * at[1] + 1) / n - 1.0, 1.0 - (2 * at[0] + 1) / n
+        view = _view(np.array([u, v, 1.0]), 0.7)
+        pictures.append((title, [(name, toned(look_up(level, view) / peak, 2.0)) for name, level in made]))
+    write_png(path, _sheet(pictures))
+
+
+def draw_levels(cube: NDArray, path: Path, threads: int) -> None:
+    """Levels 1, 3 and 5 by each method as lat-long pictures."""
+    at, exposure = latlong_directions(_WIDTH // 2), exposure_of(cube)
+    rows = []
+    for level in (1, 3, 5):
+        made = _filtered(cube, level, threads)
+        rows.append((f"level {level}", [(name, toned(look_up(each, at), exposure)) for name, each in made]))
+    write_png(path, _sheet(rows))
+
+
+def _filtered(cube: NDArray, level: int, threads: int = 1) -> list[tuple[str, NDArray]]:
+    alpha = get_curve("activision", 7, BASE_SIZE).alphas()[level]
+    request = LevelRequest(level, BASE_SIZE >> level, float(np.sqrt(alpha)), alpha)
+    return [
+        (name, filter_levels(cube, [request], replace(options, threads=threads), measure=False)[0].radiance)
+        for name, options in _methods()
+    ]
+
+
+def _view(ahead: NDArray, reach: float) -> NDArray:
+    """(_WIDTH, _WIDTH, 3) directions around ``ahead``, to ``reach`` in the plane before it."""
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.cross([0.0, 1.0, 0.0], ahead)
+    right /= np.linalg.norm(right)
+    up = np.cross(ahead, right)
+    across = np.linspace(-reach, reach, _WIDTH)
+    return ahead + across[None, :, None] * right - across[:, None, None] * up
+
+
+def _sheet(rows: list[tuple[str, list[tuple[str, NDArray]]]]) -> NDArray:
+    """Rows of captioned pictures."""
+    columns = len(rows[0][1])
+    height = sum(row[0][1].shape[0] + 2 * _TITLE for _, row in rows)
+    canvas = Image.new("RGB", (columns * (_WIDTH + _GAP) + _GAP, height + _GAP), (24, 24, 24))
+    draw, font, y = ImageDraw.Draw(canvas), ImageFont.load_default(12), 0
+    for title, row in rows:
+        draw.text((_GAP, y + 2), title, fill=(255, 255, 255), font=font)
+        y += _TITLE
+        for column, (name, pixels) in enumerate(row):
+            x = _GAP + column * (_WIDTH + _GAP)
+            draw.text((x, y + 2), name, fill=(170, 170, 170), font=font)
+            canvas.paste(Image.fromarray(pixels), (x, y + _TITLE))
+        y += _TITLE + row[0][1].shape[0]
+    return np.asarray(canvas)
