@@ -12,6 +12,7 @@ import numpy as np
 
 from brdffit.textures.encoding import height_gradient, normals_from_gradient
 from brdffit.textures.facade import GlassPanes
+from brdffit.textures.foliage import LeafLitter
 from brdffit.textures.patterns import Color, Maps, frequencies, noise, periodic, scattered, step, unit_range
 
 
@@ -266,4 +267,5 @@ GENERATORS: dict[str, Any] = {
     "bumpy_mirror": BumpyMirror,
     "fractal_relief": FractalRelief,
     "glass_panes": GlassPanes,
+    "leaf_litter": LeafLitter,
 }

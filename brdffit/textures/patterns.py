@@ -20,6 +20,7 @@ class Maps:
         roughness: (H, W) perceptual.
         metallic: (H, W).
         height: (H, W) in texture widths.
+        opacity: (H, W) in [0, 1]; it goes into the alpha of the colours.
     """
 
     color: NDArray
@@ -27,6 +28,7 @@ class Maps:
     roughness: NDArray
     metallic: NDArray | None = None
     height: NDArray | None = None
+    opacity: NDArray | None = None
 
 
 def frequencies(size: int) -> tuple[NDArray, NDArray]:

@@ -25,8 +25,8 @@ _CHECKOUT = Path(__file__).resolve().parents[2] / "data"
 RECIPES = _CHECKOUT if (_CHECKOUT / "hammered-metal.toml").is_file() else Path(sys.prefix, "share", "brdffit")
 #: Names of the shipped sets.
 SETS = (
-    "brushed-metal", "bumpy-mirror", "glass-panes", "glossy-tiles", "grooved-record", "hammered-metal", "plaster-wall",
-    "rocky-terrain",
+    "brushed-metal", "bumpy-mirror", "glass-panes", "glossy-tiles", "grooved-record", "hammered-metal", "leaf-litter",
+    "plaster-wall", "rocky-terrain",
 )  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def make_set(name: str, folder: str | Path, size: int = 512) -> Path:
         raise OutputError(f"'{folder}' cannot be made: {error.strerror}.") from error
     stem = "".join(part.capitalize() for part in name.split("-"))
     pictures = {
-        "Color": _codes(_srgb(maps.color), 255),
+        "Color": _with_alpha(_codes(_srgb(maps.color), 255), maps.opacity),
         "NormalGL": _codes(0.5 * maps.normal + 0.5, 65535),
         "Roughness": _codes(maps.roughness, 255),
         "Metallic": None if maps.metallic is None else _codes(maps.metallic, 255),
@@ -109,6 +109,10 @@ def make_set(name: str, folder: str | Path, size: int = 512) -> Path:
 
 def _srgb(linear: NDArray) -> NDArray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def _with_alpha(colours: NDArray, opacity: NDArray | None) -> NDArray:
+    return colours if opacity is None else np.dstack([colours, _codes(opacity, 255)])
 
 
 def _codes(values: NDArray, top: int) -> NDArray:

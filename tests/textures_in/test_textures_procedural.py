@@ -100,6 +100,11 @@ def test_each_set_is_what_it_is_for(made) -> None:
         assert roughness.max() > 0.5
         flat = np.hypot(slope[..., 0], slope[..., 1])
         assert 0.05 < np.mean(flat > 0.15) < 0.3 and np.median(flat) < 0.03
+    elif name == "leaf-litter":
+        # A good part of it is not there, and what is there is green or brown, never black.
+        assert 0.3 < svbrdf.opacity.mean() < 0.7 and svbrdf.alpha == "mask"
+        assert svbrdf.diffuse.max(axis=2).min() > 0.03
+        assert 0.05 < slope.std() < 0.6
     elif name == "plaster-wall":
         assert not np.ptp(svbrdf.diffuse, axis=(0, 1)).any() and svbrdf.specular.max() < 0.05
         assert roughness.min() > 0.8
