@@ -14,13 +14,14 @@ import click
 
 from brdffit.cli_options import (
     OUTPUT_HELP,
-    ROUGHNESS_FLOOR,
     SCENE_HELP,
     SPECULAR_HELP,
+    Command,
     choice,
     known,
     reading_options,
     refuse_beside_scene,
+    set_option,
     shard_of,
     texel_of,
 )
@@ -57,27 +58,16 @@ main.add_command(probe)
 main.add_command(learn)
 
 
-@main.command()
+@main.command(cls=Command)
 @click.argument("source", metavar="SET", required=False)
 @click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=SCENE_HELP)
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out"), help=OUTPUT_HELP)
 @click.option("--preset", default="plain", callback=known("preset"), help="Engine that the pictures are for.")
 @click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
-@click.option(
-    "--tolerance", type=float, metavar="DB", help="Instead of a quality: dB that a level may stay below best."
-)
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out"), help=OUTPUT_HELP)
 @click.option("--method", default="bfgs", callback=known("method"), help="See `brdffit methods`; or module:object.")
 @click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
-@click.option("--pixel-filter", **choice("box", "gaussian", "mitchell"), show_default="box")
-@click.option("--levels", type=click.IntRange(min=1), help="How many, level 0 counted; else down to 1x1.")
-@click.option("--keep-level-0", is_flag=True, help="Leave level 0 as authored instead of filtering it too.")
-@click.option("--min-roughness", **ROUGHNESS_FLOOR, show_default="0.045", help="Perceptual roughness floor.")
 @click.option("--specular", **choice("auto", "free", "held"), show_default="auto", help=SPECULAR_HELP)
-@click.option("--loss", **choice("l2", "relative", "l1"), show_default="l2", help="l2 follows peaks, l1 tails too.")
-@click.option("--refine", is_flag=True, help="Fit also what a renderer interpolates between texels and levels.")
-@click.option("--lobe", **choice("auto", "anisotropic", "isotropic"), show_default="auto", help="auto: as the preset.")
-@click.option("--normal", **choice("free", "mean"), show_default="free", help="Fit the normal, or hold the mean.")
-@click.option("--density", **choice("cosine", "uniform"), show_default="cosine", help="Of lights and viewers.")
+@set_option
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", help="Of the pictures.")
 @click.option("--compress", **choice("fast", "good", "best"), show_default="good", help="Time that blocks may take.")
 @click.option("--no-preview", is_flag=True, help="Do not draw preview.png.")
@@ -87,7 +77,7 @@ main.add_command(learn)
 @click.pass_context
 def bake(
     context: click.Context, source: str | None, scene_file: Path | None, output: Path, bits: str, no_preview: bool,
-    show: bool, **options: Any,
+    show: bool, assigned: dict[str, str], **options: Any,
 ) -> None:  # fmt: skip
     """Bake the MIP pyramid of SET.
 
@@ -104,7 +94,7 @@ def bake(
         refuse_beside_scene(context, ("scene_file", "output", "threads", "no_preview", "show"))
         reports = bake_by_plan(scene_file, output, preview=not no_preview, threads=options["threads"])
     elif source is not None:
-        given = {name: value for name, value in options.items() if value not in (None, False, "auto")}
+        given = {name: value for name, value in options.items() if value not in (None, False, "auto")} | assigned
         with BakeDisplay() as display:
             reports = [
                 bake_to_folder(source, output, bits=int(bits), preview=not no_preview, progress=display, **given)
@@ -116,14 +106,11 @@ def bake(
 
 
 #: Options of a bake that stand for every set of a library.
-_SHARED = [
-    each
-    for each in bake.params
-    if each.name not in ("source", "scene_file", "output", "no_preview", "show", "threads", "roles", "compress")
-]
+_SHARED = [each for each in bake.params if each.name in ("preset", "quality", "method", "bits", "assigned")]
+_SHARED += [each for each in bake.params if each.name in READING_OPTIONS and each.name != "roles"]
 
 
-@main.command(params=[*_SHARED])
+@main.command(cls=Command, params=[*_SHARED])
 @click.argument("root", type=click.Path(path_type=Path))
 @click.option("-o", "--output", default="out", metavar="FOLDER", help="Or an address that fsspec knows.")
 @click.option("--settings", type=click.Path(path_type=Path), show_default="ROOT/library.toml", help="By patterns.")
@@ -143,19 +130,19 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
     from brdffit.library.display import LibraryDisplay, print_plan, print_summary
     from brdffit.library.run import run_library
 
-    chosen = {name: context.params[name] for name in (each.name or "" for each in _SHARED)}
+    shared = {each.name or "": options.pop(each.name or "") for each in _SHARED}
     source = context.get_parameter_source
-    given = {name: value for name, value in chosen.items() if source(name) != click.core.ParameterSource.DEFAULT}
-    run = {name: value for name, value in options.items() if name not in chosen}
+    given = {name: value for name, value in shared.items() if source(name) != click.core.ParameterSource.DEFAULT}
+    given |= given.pop("assigned", {})
     bytes_ = None if memory is None else int(memory * 2**30)
     with LibraryDisplay() as display:
-        summary = run_library(root, output, memory=bytes_, listener=display, **run, **given)
+        summary = run_library(root, output, memory=bytes_, listener=display, **options, **given)
     print_plan(summary.plan) if options["dry_run"] else print_summary(summary, output)
     if summary.failures or summary.plan.failures:
         context.exit(1)
 
 
-@main.command()
+@main.command(cls=Command)
 @click.argument("sources", metavar="SET...", nargs=-1)
 @click.option("-o", "--output", type=click.Path(path_type=Path), show_default="report", help="Folder of the report.")
 @click.option("--methods", multiple=True, metavar="A,B,...", show_default="all", help="See `brdffit methods`.")
@@ -163,9 +150,7 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
 @click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
 @click.option("--environment", metavar="FILE", show_default="procedural", help="Equirectangular .hdr or .exr picture.")
 @click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
-@click.option("--pixel-filter", **choice("box", "gaussian", "mitchell"), show_default="box")
-@click.option("--specular", **choice("free", "held"), show_default="free", help="Scale of the lobe.")
-@click.option("--lobe", **choice("anisotropic", "isotropic"), show_default="anisotropic")
+@set_option
 @click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no picture depends on it.")
 @click.option("--from", "records", metavar="FILE", help="Draw the page of this records.json anew; computes nothing.")
 @click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=SCENE_HELP)
@@ -173,7 +158,7 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
 @click.pass_context
 def compare(
     context: click.Context, sources: tuple[str, ...], output: Path | None, records: str | None,
-    scene_file: Path | None, **asked: Any,
+    scene_file: Path | None, assigned: dict[str, str], **asked: Any,
 ) -> None:  # fmt: skip
     """Bake each SET by every method, hold them against the reference, and write a report."""
     from brdffit.comparison.ask import Ask
@@ -182,7 +167,7 @@ def compare(
     if bool(sources) + bool(records) + bool(scene_file) != 1:
         raise click.UsageError("Give texture sets to compare, or --scene FILE, or --from FILE to draw a report anew.")
     reading = {name: asked.pop(name) for name in READING_OPTIONS}
-    given = {name: value for name, value in asked.items() if value not in (None, False, ())}
+    given = {name: value for name, value in asked.items() if value not in (None, False, ())} | assigned
     if records:
         page = redraw(records, output)
     elif scene_file:
@@ -308,11 +293,17 @@ def plan(file: Path, output: Path, sets: Path | None, short: bool, seed: int, th
 
 
 @main.command()
+@click.argument("name", required=False, callback=known("method"))
 @click.option("--plain", is_flag=True, help="One name a line, for scripts.")
-def methods(plain: bool) -> None:
-    """List the methods."""
+def methods(name: str | None, plain: bool) -> None:
+    """List the methods, or the options of the method NAME."""
     from brdffit.methods import get_method, method_names
 
+    if name is not None:
+        from brdffit.console import print_options
+
+        print_options(get_method(name), plain)
+        return
     _print_names(method_names(), get_method, plain)
 
 

@@ -7,10 +7,45 @@ from typing import Any
 
 import click
 
-ROUGHNESS_FLOOR: dict[str, Any] = {"type": click.FloatRange(0, 1, min_open=True)}
 OUTPUT_HELP = "Folder to write into; the set gets one of its own name there."
 SCENE_HELP = "Instead of SET: every surface of this scene, as its plan says; see `brdffit plan`."
-SPECULAR_HELP = "Fit the scale of the lobe, or hold the filtered colour; auto: what the preset can store."
+SPECULAR_HELP = "Fit the scale of the lobe, or hold the filtered colour; auto: as the preset stores."
+SET_HELP = "Any other option of the method, see `brdffit methods NAME`; repeatable."
+
+#: Flags that left for ``--set``, each with how it is said now.
+MOVED = {
+    "--tolerance": "fit.tolerance=0.1", "--levels": "levels=4", "--pixel-filter": "pixel_filter=gaussian",
+    "--keep-level-0": "keep_level_0=true", "--min-roughness": "min_roughness=0.1", "--loss": "fit.loss=l1",
+    "--refine": "fit.refine=true", "--lobe": "lobe=isotropic", "--normal": "fit.normal=mean",
+    "--density": "density=uniform", "--specular": "fit.specular=held", "--model": "model=beckmann",
+}  # fmt: skip
+
+
+class Command(click.Command):
+    """A command whose flags of former versions say where they went."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            if error.option_name not in MOVED:
+                raise
+            said = f"{error.option_name} is now said by --set, for example --set {MOVED[error.option_name]}"
+            raise click.UsageError(f"{said}; `brdffit methods bfgs` lists all options.", ctx) from error
+
+
+def settings_of(ctx: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, str]:
+    """NAME=VALUE, repeated, as a mapping."""
+    from brdffit.options import parse_settings
+
+    return parse_settings(pairs)
+
+
+def set_option(command: Callable) -> Callable:
+    """``--set NAME=VALUE``."""
+    return click.option("--set", "assigned", multiple=True, callback=settings_of, metavar="NAME=VALUE", help=SET_HELP)(
+        command
+    )
 
 
 def known(kind: str) -> Callable[[click.Context, click.Parameter, str | None], str | None]:

@@ -22,9 +22,11 @@ from rich.table import Table
 
 from brdffit.files.image_io import read_image
 from brdffit.fitting.status import FALLBACK
+from brdffit.options import described
 
 if TYPE_CHECKING:
     from brdffit.doctor import Diagnosis
+    from brdffit.methods import Method
     from brdffit.pipeline import BakeReport
     from brdffit.textures.inspection import Inspection
 
@@ -102,6 +104,23 @@ def print_report(report: BakeReport) -> None:
     console.print(", ".join(f"{_PHASES.get(name, name)} {seconds:.1f} s" for name, seconds in report.seconds.items()))
     preview = report.folder / "preview.png"
     console.print(f"{report.folder}" + (f" (see {preview})" if preview.exists() else ""))
+
+
+def print_options(method: Method, plain: bool = False) -> None:
+    """The options of a method: how they are called, their values, their defaults, and a line on each."""
+    console = _console()
+    options = described(method.options).values()
+    if plain:
+        for each in options:
+            console.print(each.full_name)
+        return
+    console.print(f"{method.name}: {method.summary}")
+    console.print("Each is said by --set NAME=VALUE, or by NAME = VALUE in the table [options] of library.toml.")
+    table = _table("option", "values", "default", "")
+    for each in options:
+        default = str(each.default).lower() if each.default in (None, True, False) else str(each.default)
+        table.add_row(each.full_name, each.values, default, each.says)
+    console.print(table)
 
 
 def print_inspection(inspection: Inspection) -> None:

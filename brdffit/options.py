@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -127,10 +128,10 @@ class Described(NamedTuple):
         """What it may be, in a few words."""
         if self.names:
             return "|".join(self.names)
-        types = [each for each in (typing.get_args(self.kind) or (self.kind,)) if each is not type(None)]
-        if types[0] is bool:
+        (kind, *_) = (each for each in _alternatives(self.kind) if each is not type(None))
+        if kind is bool:
             return "true|false"
-        word = {int: "whole number", float: "number", str: "text"}.get(types[0], "values a,b,...")
+        word = {int: "whole number", float: "number", str: "text"}.get(kind, "values a,b")
         return f"{word} {self.limits}".strip()
 
 
@@ -154,6 +155,11 @@ def _described(kind: Any) -> dict[str, Described]:
     return found
 
 
+def _alternatives(kind: Any) -> tuple[Any, ...]:
+    """The types that a value may be of."""
+    return typing.get_args(kind) if typing.get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
+
+
 def _own_fields(kind: type) -> Iterable[str]:
     return (name for name in kind.__dict__.get("__annotations__", {}) if name != "group")
 
@@ -170,6 +176,8 @@ def make_options(kind: type[Options], given: Mapping[str, Any], method: str) -> 
         each = _find(known, name)
         if each is None:
             raise OptionError(_unknown(name, known, method))
+        if each.name in found:
+            raise OptionError(f"Option '{each.full_name}' is given twice.")
         found[each.name] = _checked(each, value)
     return kind(**found)
 
@@ -190,6 +198,15 @@ def refuse_unknown(kinds: Mapping[str, type[BakeOptions]], given: Mapping[str, A
         if all(_find(described(kind), name) is None for kind in kinds.values()):
             together = {key: each for kind in kinds.values() for key, each in described(kind).items()}
             raise OptionError(_unknown(name, together, ", ".join(kinds)))
+
+
+def merged(*given: Mapping[str, Any]) -> dict[str, Any]:
+    """Several mappings of options as one; later ones win, also where they spell a name another way."""
+    found: dict[str, Any] = {}
+    for name, value in (item for mapping in given for item in mapping.items()):
+        found = {key: other for key, other in found.items() if not _same(key, name)}
+        found[name] = value
+    return found
 
 
 def changed_options(options: BakeOptions) -> dict[str, Any]:
@@ -225,6 +242,13 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
             yield prefix + name, value
 
 
+def _same(one: str, other: str) -> bool:
+    """Whether two spellings mean one option: "loss" and "fit.loss" do, "fit.loss" and "ndm.loss" do not."""
+    one, other = one.replace("-", "_"), other.replace("-", "_")
+    ends = one.rpartition(".")[2] == other.rpartition(".")[2]
+    return ends and (one == other or "." not in one or "." not in other)
+
+
 def _find(known: Mapping[str, Described], name: str) -> Described | None:
     each = known.get(name.rpartition(".")[2].replace("-", "_"))
     return each if each is not None and ("." not in name or name.replace("-", "_") == each.full_name) else None
@@ -237,8 +261,8 @@ def _unknown(name: str, known: Mapping[str, Described], method: str) -> str:
     near = difflib.get_close_matches(name, full, n=1, cutoff=0.6) or [
         ends[each] for each in difflib.get_close_matches(end, list(ends), n=1, cutoff=0.6)
     ]
-    hint = f"did you mean '{near[0]}'? " if near else ""
-    return f"Method {method} has no option '{name}': {hint}it knows {', '.join(full)}."
+    known_ones = f"did you mean '{near[0]}'?" if near else f"it knows {', '.join(full)}."
+    return f"Method {method} has no option '{name}': {known_ones}"
 
 
 def _checked(each: Described, value: Any) -> Any:
@@ -247,9 +271,10 @@ def _checked(each: Described, value: Any) -> Any:
     Raises:
         OptionError: when it is none.
     """
-    found = _converted(each, value)
-    if found is None and type(None) in typing.get_args(each.kind):
+    nothing = value is None or (isinstance(value, str) and value.strip().lower() == _NOTHING)
+    if nothing and type(None) in _alternatives(each.kind):
         return None
+    found = _converted(each, value)
     if each.names and found not in each.names:
         near = difflib.get_close_matches(str(value), each.names, n=1, cutoff=0.4)
         hint = f"did you mean '{near[0]}'? " if near else ""
@@ -267,10 +292,10 @@ def _expected(each: Described) -> str:
 
 
 def _converted(each: Described, value: Any) -> Any:
-    """The value as one of the option's types; None where it is "none" or of no such type."""
+    """The value as one of the option's types; None where it is of no such type."""
     if each.names and isinstance(value, str):
         return value
-    for kind in typing.get_args(each.kind) or (each.kind,):
+    for kind in _alternatives(each.kind):
         origin = typing.get_origin(kind) or kind
         if origin is tuple:
             return _tuple_of(typing.get_args(kind), value)
@@ -296,8 +321,6 @@ def _bool_of(value: Any) -> bool | None:
 
 def _tuple_of(kinds: tuple[Any, ...], value: Any) -> tuple[Any, ...] | None:
     parts = value.split(",") if isinstance(value, str) else value
-    if isinstance(value, str) and value.strip().lower() == _NOTHING:
-        return None
     element = kinds[0] if kinds and kinds[0] in (int, float, str) else str
     try:
         found = tuple(element(part.strip() if isinstance(part, str) else part) for part in parts)

@@ -8,19 +8,23 @@ import time
 import types
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from brdffit.cli import main
+from brdffit.cli import bake, library, main
+from brdffit.cli_options import MOVED
 from brdffit.errors import InputError, OutputError, UnknownNameError
 from brdffit.export.presets import preset_names
 from brdffit.files.image_io import write_png
 from brdffit.fitting.options import QUALITIES, FitOptions
 from brdffit.fitting.status import CONVERGED, FALLBACK
-from brdffit.methods import Baked, Level, Pyramid, method_names
+from brdffit.methods import Baked, Level, Pyramid, get_method, method_names
 from brdffit.models import model_names
+from brdffit.options import described, make_options
 from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.textures import READING_OPTIONS
 
 METHODS = ["bfgs", "naive", "toksvig", "vmf", "lean", "filament", "godot", "flatten", "height"]
 MODELS = ["ggx", "blinn-phong", "ashikhmin-shirley", "beckmann", "generalised-beckmann"]
@@ -114,24 +118,22 @@ def test_bake_passes_on_only_what_was_given(run, baked):
 
 def test_bake_passes_every_option_on(run, baked):
     arguments = (
-        "set.gltf -o there --preset gltf --quality fine --method lean --model beckmann --pixel-filter mitchell "
-        "--levels 3 --threads 2 --normal-y dx --wrap clamp --keep-level-0 --min-roughness 0.1 --specular free "
-        "--lobe isotropic --normal mean --density uniform --bits 16 --role normal=a.png --role orm=b=c.png "
-        "--height-scale 4 --denoise-normals --material wall --no-preview --tolerance 0.1 --loss l1 --refine"
+        "set.gltf -o there --preset gltf --quality fine --method lean --model beckmann --set pixel_filter=mitchell "
+        "--set levels=3 --threads 2 --normal-y dx --wrap clamp --specular free --bits 16 --role normal=a.png "
+        "--role orm=b=c.png --height-scale 4 --denoise-normals --material wall --no-preview --set fit.loss=l1"
     )
     assert run("bake", *arguments.split()).exit_code == 0
     assert baked.arguments == {
         "source": "set.gltf", "output": Path("there"), "preset": "gltf", "quality": "fine", "method": "lean",
-        "model": "beckmann", "pixel_filter": "mitchell", "levels": 3, "threads": 2, "normal_y": "dx", "wrap": "clamp",
-        "keep_level_0": True, "min_roughness": 0.1, "specular": "free", "lobe": "isotropic", "normal": "mean",
-        "density": "uniform", "bits": 16, "roles": {"normal": "a.png", "orm": "b=c.png"}, "height_scale": 4.0,
-        "denoise_normals": True, "material": "wall", "preview": False, "tolerance": 0.1, "loss": "l1", "refine": True,
+        "model": "beckmann", "pixel_filter": "mitchell", "levels": "3", "threads": 2, "normal_y": "dx", "wrap": "clamp",
+        "specular": "free", "bits": 16, "roles": {"normal": "a.png", "orm": "b=c.png"}, "height_scale": 4.0,
+        "denoise_normals": True, "material": "wall", "preview": False, "fit.loss": "l1",
     }  # fmt: skip
 
 
 def test_defaults_that_help_shows_are_those_of_the_options(run):
     shown = " ".join(run("bake", "--help").stdout.split())
-    for option in ("quality", "model", "pixel_filter", "min_roughness", "normal", "density"):
+    for option in ("quality", "model"):
         stretch = re.search(rf"--{option.replace('_', '-')} .*?\[default: \(([^;)]+)\)", shown)
         assert stretch and stretch[1] == str(getattr(FitOptions(), option)), option
     assert f"[{'|'.join(QUALITIES)}]" in shown
@@ -184,13 +186,48 @@ def test_unknown_names_exit_with_2_and_the_nearest(run, baked, option, wrong, ne
 
 @pytest.mark.parametrize(
     "arguments",
-    ["", "set --levels 0", "set --pixel-filter tent", "set --quality best", "set --bits 10", "set --role normal",
-     "set --role normal=", "set --role =a.png", "set --role normal=a --role normal=b", "set --min-roughness 0",
+    ["", "set --set levels", "set --set =3", "set --set levels=2 --set levels=3", "set --quality best", "set --bits 10",
+     "set --role normal", "set --role normal=", "set --role =a.png", "set --role normal=a --role normal=b",
      "set --threads 0", "set --normal-y up", "set --wrap mirror", "set --no-such-option", "set another"],
 )  # fmt: skip
 def test_a_wrong_command_line_exits_with_2(run, baked, arguments):
     result = run("bake", *arguments.split())
     assert result.exit_code == 2 and "Error" in result.stderr and baked.arguments is None
+
+
+def test_help_of_a_bake_fits_a_screen(run):
+    assert len(run("bake", "--help").stdout.splitlines()) <= 50
+    for command in (bake, library):
+        own = [each for each in command.params if isinstance(each, click.Option) and each.name not in READING_OPTIONS]
+        assert len(own) <= 14
+
+
+@pytest.mark.parametrize("flag", MOVED)
+def test_a_flag_that_left_says_where_it_went(run, baked, flag):
+    command = "library" if flag in ("--model", "--specular") else "bake"
+    result = run(command, "set", flag)
+    assert result.exit_code == 2 and baked.arguments is None
+    last = result.stderr.strip().splitlines()[-1]
+    assert f"{flag} is now said by --set, for example --set {MOVED[flag]}" in last
+    name, _, value = MOVED[flag].partition("=")
+    assert make_options(FitOptions, {name: value}, "'bfgs'") != FitOptions()
+
+
+def test_an_option_of_another_method_is_refused(run, tmp_path):
+    for assignment, told in (("fit.loss=l1", "Method 'lean' has no option 'fit.loss'"), ("level=1", "'levels'")):
+        result = run("bake", write_set(tmp_path / "waves"), "--method", "lean", "--set", assignment)
+        assert result.exit_code == 2
+        (line,) = result.stderr.strip().splitlines()
+        assert told in line
+
+
+def test_every_option_of_a_method_is_told(run):
+    for name in method_names():
+        lines = run("methods", name).stdout.splitlines()
+        for each in described(get_method(name).options).values():
+            (line,) = (line for line in lines if line.split()[:1] == [each.full_name])
+            assert each.says in line and each.values in line
+    assert run("methods", "bgfs").exit_code == 2
 
 
 def test_an_unknown_command_exits_with_2(run):

@@ -197,7 +197,7 @@ def test_bad_sets_are_named_and_good_ones_baked(library):
     write_maps(root / "flat", roles=("Color", "Roughness"))
     write_maps(root / "sizes")
     write_png(root / "sizes" / "Set_Color.png", np.arange(120, dtype=np.uint8).reshape(8, 5, 3))
-    options = ["--method", "lean", "--levels", "2", "--workers", "1"]
+    options = ["--method", "lean", "--set", "levels=2", "--workers", "1"]
     result = CliRunner().invoke(main, ["library", str(root), "-o", str(output), *options])
     assert result.exit_code == 1
     record = json.loads((output / "library.json").read_text())

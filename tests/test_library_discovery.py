@@ -206,10 +206,12 @@ def test_settings_by_patterns(tmp_path):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("[options]\nqualty = 'draft'", r"unknown field `qualty`.*\$\.options"),
-        ("[[sets]]\nmatch = '*'\nquality = 'best'", r"'best'.*\$\.sets\[0\]\.quality"),
+        ("[options]\nqualty = 'draft'", r"no option 'qualty': did you mean 'fit\.quality'.*\$\.options"),
+        ("[[sets]]\nmatch = '*'\nquality = 'best'", r"'fit\.quality' cannot be 'best'.*\$\.sets\[0\]"),
         ("[[sets]]\nquality = 'draft'", r"required field `match`"),
-        ("[options]\nlevels = 0", r">= 1.*\$\.options\.levels"),
+        ("[options]\nbits = 9", r"9.*\$\.bits.*\$\.options"),
+        ("[options]\nfit.loss = 'l3'", r"'fit\.loss' cannot be 'l3'.*\$\.options"),
+        ("[options]\nlevels = 0", r"'levels' is '0', expected a whole number at least 1.*\$\.options"),
         ("exclude = [", "not as expected"),
     ],
 )

@@ -22,7 +22,7 @@ from brdffit.library.run import run_library
 ROOT = Path(__file__).parent.parent
 resource = pytest.importorskip("resource")
 QUICK = {"quality": "draft", "levels": 2}
-OPTIONS = ["--quality", "draft", "--levels", "2"]
+OPTIONS = ["--quality", "draft", "--set", "levels=2"]
 KILLS = 20
 
 

@@ -169,7 +169,7 @@ def test_an_error_of_the_program_stops_one_set_alone(with_odd_one):
 
 def start(folder, *options):
     """A run in a process of its own."""
-    arguments = ["library", folder / "in", "-o", folder / "out", "--method", "lean", "--levels", "2", *options]
+    arguments = ["library", folder / "in", "-o", folder / "out", "--method", "lean", "--set", "levels=2", *options]
     program = "import sys; from brdffit.cli import main; sys.argv[0] = 'brdffit'; main()"
     command = [sys.executable, "-c", program, *map(str, arguments)]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}

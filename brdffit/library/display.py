@@ -79,12 +79,12 @@ def print_plan(plan: Plan) -> None:
     """What a dry run would do."""
     console = _console()
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in ("set", "size", "why", "method", "quality", "preset"):
+    for column in ("set", "size", "why", "method", "preset", "options"):
         table.add_column(column, overflow="fold")
     for key, reason in list(plan.reasons.items())[:_LISTED]:
         task, (height, width) = plan.tasks[key], plan.sizes[key]
-        quality = task.options.get("quality", "standard")
-        table.add_row(key, f"{width}x{height}", reason, task.method, quality, task.preset)
+        options = ", ".join(f"{name} {value}" for name, value in task.options.items())
+        table.add_row(key, f"{width}x{height}", reason, task.method, task.preset, options)
     if plan.reasons:
         console.print(table)
     if len(plan.reasons) > _LISTED:

@@ -20,10 +20,12 @@ from brdffit.library.discovery import find_sets
 from brdffit.library.page import write_page
 from brdffit.library.pool import BYTES_PER_TEXEL, BYTES_PER_WORKER, Job, Pool, core_count, memory_limit
 from brdffit.library.record import write_record
-from brdffit.library.settings import read_settings, split_options
+from brdffit.library.settings import Common, read_settings, split_options
 from brdffit.library.state import code_digest, reason_to_bake
 from brdffit.library.store import manifest_of, open_store
 from brdffit.library.task import Found, Outcome, Task
+from brdffit.methods import get_method
+from brdffit.options import refuse_unknown
 
 
 class Listener(Protocol):
@@ -182,6 +184,8 @@ def _tasks(
         return Task(found=found, output=address, code=code_digest(split[same]["method"]), **split[same])
 
     tasks = {found.key: of(found) for found in find_sets(root.resolve(), output, settings.is_left_out)}
+    own = {name: value for name, value in options.items() if name not in Common.__struct_fields__}
+    refuse_unknown({task.method: get_method(task.method).options for task in tasks.values()}, own)
     if not tasks:
         raise InputError(f"'{root}' holds no texture set, expected folders of textures such as Name_NormalGL.png.")
     return tasks

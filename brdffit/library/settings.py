@@ -4,6 +4,7 @@
 
     [options]
     quality = "draft"
+    fit.loss = "l1"
 
     [[sets]]
     match = "metal/*"
@@ -11,77 +12,77 @@
     quality = "fine"
 
 Patterns are those of ``fnmatch`` on a set's place below the root (``*`` crosses slashes). Of several entries that
-match, later ones win; the command line wins over all.
+match, later ones win; the command line wins over all. Beside method, preset, bits and how a set is read, all options of
+methods may stand there (``brdffit methods NAME``); each is for the sets whose method has it.
 """
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 
-from brdffit.errors import InputError
+from brdffit.errors import InputError, UnknownNameError
 from brdffit.library.task import Found
-from brdffit.methods import DEFAULT, get_method
+from brdffit.methods import DEFAULT, Method, get_method, method_names
+from brdffit.options import flat, known_options, make_options, merged, refuse_unknown
 from brdffit.pipeline import bake_options
 from brdffit.textures import READING_OPTIONS
 
 FILE_NAME = "library.toml"
 
-Positive = Annotated[float, Meta(gt=0.0)]
 
-
-class Overrides(Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
-    """What may be said of a set; None says nothing. As the options of ``brdffit bake``."""
+class Common(Struct, forbid_unknown_fields=True, frozen=True):
+    """What may be said of a set that is no option of its method; None says nothing."""
 
     method: str | None = None
     preset: str | None = None
     bits: Literal[8, 16] | None = None
-    model: str | None = None
-    pixel_filter: Literal["box", "gaussian", "mitchell"] | None = None
-    levels: Annotated[int, Meta(ge=1)] | None = None
-    keep_level_0: bool | None = None
-    quality: Literal["draft", "standard", "fine"] | None = None
-    tolerance: Positive | None = None
-    loss: Literal["l2", "relative", "l1"] | None = None
-    refine: bool | None = None
-    specular: Literal["auto", "free", "held"] | None = None
-    lobe: Literal["auto", "anisotropic", "isotropic"] | None = None
-    normal: Literal["free", "mean"] | None = None
-    density: Literal["cosine", "uniform"] | None = None
-    min_roughness: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None
     wrap: Literal["tile", "clamp"] | None = None
     normal_y: Literal["gl", "dx"] | None = None
-    height_scale: Positive | None = None
+    height_scale: Annotated[float, Meta(gt=0.0)] | None = None
     denoise_normals: bool | None = None
     material: str | None = None
     roles: dict[str, str] | None = None
 
-    def given(self) -> dict[str, Any]:
-        """What is said, by name."""
-        return {name: getattr(self, name) for name in self.__struct_fields__ if getattr(self, name) is not None}
+
+class _File(Struct, forbid_unknown_fields=True, frozen=True):
+    """A whole file, its options as they stand there."""
+
+    exclude: tuple[str, ...] = ()
+    options: dict[str, Any] = {}
+    sets: tuple[dict[str, Any], ...] = ()
 
 
-class ForSets(Overrides, forbid_unknown_fields=True, frozen=True, omit_defaults=True, kw_only=True):
-    """Overrides for the sets that match; ``skip`` leaves them out."""
+class _Entry(Struct, frozen=True):
+    """What an entry for some sets says beside their options."""
 
     match: str
     skip: bool = False
 
-    def given(self) -> dict[str, Any]:
-        """What is said, by name."""
-        return {name: value for name, value in super().given().items() if name not in ("match", "skip")}
+
+@dataclass(frozen=True)
+class ForSets:
+    """Options for the sets whose place matches; ``skip`` leaves them out."""
+
+    match: str
+    skip: bool = False
+    said: Mapping[str, Any] = field(default_factory=dict)
 
 
-class Settings(Struct, forbid_unknown_fields=True, frozen=True):
+@dataclass(frozen=True)
+class Settings:
     """A whole ``library.toml``."""
 
     exclude: tuple[str, ...] = ()
-    options: Overrides = Overrides()
+    options: Mapping[str, Any] = field(default_factory=dict)
     sets: tuple[ForSets, ...] = ()
 
     def is_left_out(self, key: str) -> bool:
@@ -89,16 +90,11 @@ class Settings(Struct, forbid_unknown_fields=True, frozen=True):
         skipped = [entry.skip for entry in self.sets if fnmatchcase(key, entry.match)]
         return any(fnmatchcase(key, pattern) for pattern in self.exclude) or (bool(skipped) and skipped[-1])
 
-    def of(self, found: Found, command_line: dict[str, Any]) -> dict[str, Any]:
+    def of(self, found: Found, command_line: Mapping[str, Any]) -> dict[str, Any]:
         """All that is said of a set."""
-        said: dict[str, Any] = {}
-        if found.udim is not None:
-            said["wrap"] = "clamp"  # a tile goes on in its neighbour, not in itself
-        said |= self.options.given()
-        for entry in self.sets:
-            if fnmatchcase(found.key, entry.match):
-                said |= entry.given()
-        return said | command_line
+        usual = {"wrap": "clamp"} if found.udim is not None else {}  # a tile goes on in its neighbour, not in itself
+        matching = [entry.said for entry in self.sets if fnmatchcase(found.key, entry.match)]
+        return merged(usual, self.options, *matching, command_line)
 
 
 def read_settings(path: Path | None, root: Path) -> Settings:
@@ -112,18 +108,51 @@ def read_settings(path: Path | None, root: Path) -> Settings:
         if not path.is_file():
             return Settings()
     try:
-        settings = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Settings)
+        file = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), _File)
+        entries = [(msgspec.convert(each, _Entry), each) for each in file.sets]
+        sets = tuple(
+            ForSets(entry.match, entry.skip, _said(each, f"$.sets[{i}]")) for i, (entry, each) in enumerate(entries)
+        )
+        return Settings(file.exclude, _said(file.options, "$.options"), sets)
     except OSError as error:
         raise InputError(f"The settings '{path}' cannot be read: {error.strerror}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
-        raise InputError(f"The settings '{path}' are not as expected: {error}.") from error
-    for said in (settings.options, *settings.sets):
-        split_options(said.given())  # unknown names are told now, not after an hour
-    return settings
+        raise InputError(f"The settings '{path}' are not as expected: {str(error).rstrip('.')}.") from error
 
 
-def split_options(said: dict[str, Any]) -> dict[str, Any]:
-    """The fields of a ``Task`` from all that is said of a set.
+def _said(table: Mapping[str, Any], place: str) -> dict[str, Any]:
+    """What a table of options says, by full name.
+
+    Raises:
+        msgspec.ValidationError: for what no method has, or a value that cannot be; the sentence holds the place.
+        UnknownNameError: for a method or a preset that does not exist.
+    """
+    plain = {name: value for name, value in table.items() if name in Common.__struct_fields__}
+    options = {k: v for k, v in table.items() if k not in plain and k not in _Entry.__struct_fields__}
+    found = dict(flat(options))
+    try:
+        msgspec.convert(plain, Common)
+    except msgspec.ValidationError as error:
+        raise msgspec.ValidationError(f"{error} (in {place})") from error
+    kinds = {name: method.options for name, method in _methods(plain.get("method", DEFAULT)).items()}
+    bake_options(get_method(DEFAULT), plain.get("preset"), {})
+    try:
+        refuse_unknown(kinds, found)
+        for name, kind in kinds.items():
+            make_options(kind, known_options(kind, found), f"'{name}'")
+    except UnknownNameError as error:
+        raise msgspec.ValidationError(f"{error} (in {place})") from error
+    return plain | found
+
+
+@cache
+def _methods(own: str) -> dict[str, Method]:
+    """All installed methods, and one that a file names."""
+    return {name: get_method(name) for name in (own, *method_names())}
+
+
+def split_options(said: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a ``Task`` from all that is said of a set; options that its method does not have are left out.
 
     Raises:
         UnknownNameError: for an unknown method, model or preset.
@@ -132,5 +161,6 @@ def split_options(said: dict[str, Any]) -> dict[str, Any]:
     reading = {name: said.pop(name, None) for name in READING_OPTIONS}
     reading["denoise_normals"] = bool(reading["denoise_normals"])
     method, preset, bits = said.pop("method", DEFAULT), said.pop("preset", "plain"), int(said.pop("bits", 8))
-    bake_options(get_method(method), preset, said)
-    return {"reading": reading, "method": method, "preset": preset, "bits": bits, "options": said}
+    options = known_options(get_method(method).options, said)
+    bake_options(get_method(method), preset, options)
+    return {"reading": reading, "method": method, "preset": preset, "bits": bits, "options": options}
