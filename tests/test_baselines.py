@@ -8,11 +8,11 @@ import pytest
 from baselines.lean import MAX_SLOPE
 from brdffit.errors import InputError
 from brdffit.fitting.options import FitOptions
-from brdffit.methods import Method, get_method, method_names
+from brdffit.methods import Method, get_method, lobe_method_names
 from brdffit.roughness import log_tensor_from_perceptual, perceptual_from_log_tensor, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 
-BASELINES = [name for name in method_names() if type(get_method(name)).__module__.startswith("baselines.")]
+BASELINES = [name for name in lobe_method_names() if type(get_method(name)).__module__.startswith("baselines.")]
 #: Those that widen the lobe by the spread of normals, in alpha^2 and without a cap.
 WIDENING = ["toksvig", "vmf", "lean"]
 

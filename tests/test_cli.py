@@ -26,7 +26,7 @@ from brdffit.options import described, make_options
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures import READING_OPTIONS
 
-METHODS = ["bfgs", "naive", "toksvig", "vmf", "lean", "filament", "godot", "flatten", "height"]
+METHODS = ["bfgs", "naive", "toksvig", "vmf", "lean", "filament", "godot", "flatten", "height", "ndm", "texture-space"]
 MODELS = ["ggx", "blinn-phong", "ashikhmin-shirley", "beckmann", "generalised-beckmann"]
 
 

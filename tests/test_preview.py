@@ -137,8 +137,8 @@ def test_an_appearance_that_is_no_pyramid_is_shown_too():
     picture = preview.make_preview(base, pyramid, other, name="other", ball=BALL)
     one, two = (lit_ball(each, 1, BALL).mean(axis=0) for each in (pyramid, other))
     assert picture.shape[0] > 3 * BALL
-    # Its lamps are discs, not widened lobes.
-    assert np.abs(one - two).mean() < 0.06 * one.mean()
+    # Its lamps are discs of which few directions are drawn, not widened lobes.
+    assert np.abs(one - two).mean() < 0.12 * one.mean()
 
 
 def test_figures_say_what_is_the_same():

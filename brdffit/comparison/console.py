@@ -115,6 +115,9 @@ def print_summary(written: Written) -> None:
     for result in comparison.sets:
         for each in result.skipped:
             console.print(f"- {result.name}: no {each.method}. {each.reason}", soft_wrap=True)
+        for method in result.methods:
+            for note in method.notes:
+                console.print(f"- {result.name}, {method.method}: {note}", soft_wrap=True)
     phases: dict[str, float] = {}
     for result in comparison.sets:
         for name, value in result.seconds.items():

@@ -101,8 +101,11 @@ def constant_profile(q, C, s):
 
 
 @kernel
-def brdf_rows(normal, tensor, amplitude, shape, specular, diffuse, view, light, out):
-    """Write the BRDF times n.l into ``out`` (n, 3); see ``brdf``."""
+def brdf_rows(normal, tensor, amplitude, of_lobe, shape, specular, diffuse, view, light, out):
+    """Write the BRDF times n.l into ``out`` (n, 3); see ``brdf``.
+
+    ``amplitude`` is K(shape) of the lobe, or D(h) itself unless ``of_lobe``.
+    """
     for i in range(out.shape[0]):
         xx, yy, xy = float(tensor[i, 0]), float(tensor[i, 1]), float(tensor[i, 2])
         # Rounding of the stored entries can make a very eccentric tensor indefinite.
@@ -116,9 +119,12 @@ def brdf_rows(normal, tensor, amplitude, shape, specular, diffuse, view, light, 
         if length < real(1e-4):
             continue
         per = real(1.0) / length
+        peak = amplitude[i]
+        if of_lobe:
+            peak = real(peak / (math.pi * math.sqrt(determinant)))
         lobe, cosine = reflect(
             x, y, z, real(yy / determinant), real(xx / determinant), real(-xy / determinant), real(xx), real(yy),
-            real(xy), amplitude[i], shape[i], h_x * per, h_y * per, h_z * per, l_x, l_y, l_z, v_x, v_y, v_z,
+            real(xy), peak, shape[i], h_x * per, h_y * per, h_z * per, l_x, l_y, l_z, v_x, v_y, v_z,
         )  # fmt: skip
         strongest = max(specular[i, 0], max(specular[i, 1], specular[i, 2]))
         rim = min(strongest * real(1.0 / LEAST_REFLECTANCE), real(1.0))
@@ -207,23 +213,19 @@ def brdf(
         density: (n,) values of D(h) per steradian, where the caller's distribution of normals is no lobe of ours;
             ``tensor`` then serves the masking term alone, and ``model`` and ``shape`` say nothing.
     """
-    tensor = _rows(tensor, 3)
-    count = len(tensor)
+    count = len(light)
+    of_lobe = density is None
     if density is None:
         chosen = get_model(model)
         shape = np.full(count, chosen.default_shape, np.float32) if shape is None else shape
-        determinant = tensor[:, 0].astype(np.float64) * tensor[:, 1] - np.square(tensor[:, 2], dtype=np.float64)
-        diagonal = tensor[:, 0].astype(np.float64) * tensor[:, 1]
-        root = np.sqrt(np.maximum(determinant, np.maximum(1e-12 * diagonal, 1e-30)))
-        scale = _normalisation(chosen, shape)
-        density = scale / (math.pi * root)
-        loop = _brdf_rows(chosen.name)
+        density = _normalisation(chosen, shape)
     else:
-        shape, loop = np.zeros(count, np.float32), _brdf_rows(None)
+        shape = np.zeros(count, np.float32)
     out = np.empty((count, 3), np.float32)
-    loop(
-        _rows(normal, 3), tensor, np.ascontiguousarray(density, np.float32), np.ascontiguousarray(shape, np.float32),
-        _rows(specular, 3), _rows(diffuse, 3), _rows(view, 3), _rows(light, 3), out,
+    _brdf_rows(model if of_lobe else None)(
+        _rows(normal, 3), _rows(tensor, 3), np.ascontiguousarray(density, np.float32), of_lobe,
+        np.ascontiguousarray(shape, np.float32), _rows(specular, 3), _rows(diffuse, 3), _rows(view, 3),
+        _rows(light, 3), out,
     )  # fmt: skip
     return out
 
@@ -258,10 +260,9 @@ def share_of_lobe(specular: NDArray, diffuse: NDArray) -> NDArray:
 
 def _normalisation(model: Any, shape: NDArray) -> NDArray:
     """K(shape) (n,)."""
-    values, where = np.unique(shape, return_inverse=True)
-    if len(values) > 4096:
-        return np.exp([model.log_normalisation(float(s))[0] for s in shape])
-    return np.exp([model.log_normalisation(float(s))[0] for s in values])[where]
+    if model.shape_bounds is None or (len(shape) and (shape == shape[0]).all()):
+        return np.full(len(shape), np.exp(model.log_normalisation(float(shape[0]) if len(shape) else 0.0)[0]))
+    return np.exp([model.log_normalisation(float(each))[0] for each in shape])
 
 
 @cache

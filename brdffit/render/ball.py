@@ -25,6 +25,8 @@ from brdffit.svbrdf import Svbrdf
 MOST_TEXELS = 1024
 #: Samples of a footprint in the reference: for each base texel, and at least and at most.
 _PER_TEXEL, _SAMPLES = 12, (48, 160)
+#: Directions to light of an appearance that is drawn in numpy: enough for a glance, and some noise.
+_DIRECTIONS = 16
 
 # Direction (x right, y up, z to the viewer), irradiance over pi, angular radius: a key lamp and a rim lamp, and for sky
 # and ground lamps so wide that they meet.
@@ -92,7 +94,7 @@ def lit_ball(drawn: Drawable, mip_level: int, diameter: int, part: Part | None =
         appearance = LobePyramid([part.crop(level, k, size) for k, level in enumerate(levels)])
         lamps = "widened"
     scene = part.scene(appearance.base_size, mip_level, diameter)
-    return render_appearance_halves(appearance, scene, studio(), lamps=lamps, threads=threads)
+    return render_appearance_halves(appearance, scene, studio(), lamps=lamps, directions=_DIRECTIONS, threads=threads)
 
 
 def reference_ball(base: Svbrdf, mip_level: int, diameter: int, part: Part | None = None, *,

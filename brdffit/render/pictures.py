@@ -33,7 +33,7 @@ _DIRECTIONS, _PLAIN_DIRECTIONS = 512, 64
 #: Far from the numbers that a reference gives to its blocks: what both draw is independent.
 _PART = 1 << 24
 #: Pixels that the path in numpy draws at a time.
-_PIXELS = 4096
+_PIXELS = 2048
 
 #: What can be drawn: an appearance, a pyramid of a method, or MIP levels from level 0 down.
 Drawable = Appearance | Pyramid | Sequence[Svbrdf]
@@ -76,11 +76,13 @@ def render_appearance_halves(
     environment: Environment | None = None,
     terms: Terms = Terms(),  # noqa: B008
     lamps: str = "sampled",
+    directions: int = _PLAIN_DIRECTIONS,
     threads: int | None = None,
 ) -> NDArray:
     """Two independent estimates (2, h, w, 3) float32 that the picture is the mean of; equal under lights alone.
 
-    Arguments and errors as in ``render_appearance``.
+    Arguments and errors as in ``render_appearance``; ``directions``: of light that has a size, of either kind and for
+    each half, where the path in numpy draws.
     """
     appearance = appearance_of(appearance)
     if tuple(appearance.base_size) != tuple(scene.base_size):
@@ -93,7 +95,7 @@ def render_appearance_halves(
     if isinstance(appearance, LobePyramid):
         found = _draw_lobes(appearance, scene, pixels, detail, lit, threads)
     elif terms == Terms():
-        found = _draw(appearance, scene, pixels, detail, lit)
+        found = _draw(appearance, scene, pixels, detail, lit, directions, threads)
     else:
         raise InputError("Only a pyramid of lobes can be drawn without some terms of its BRDF.")
     halves = np.zeros((2, *scene.pixels, 3), np.float32)
@@ -139,27 +141,33 @@ def _draw_lobes(
     return found[1:] + found[0]
 
 
-def _draw(appearance: Appearance, scene: Scene, pixels: Pixels, detail: NDArray, lit: Lit) -> NDArray:
+def _draw(
+    appearance: Appearance, scene: Scene, pixels: Pixels, detail: NDArray, lit: Lit, directions: int,
+    threads: int | None,
+) -> NDArray:  # fmt: skip
     """Both halves (2, n, 3) of the pixels of any appearance."""
     axes = scene.axes[pixels.rows, pixels.columns]
     lookups = Lookups(pixels.centre, np.ascontiguousarray(axes, np.float64), detail, pixels.view)
     found = np.zeros((2, len(detail), 3))
-    for first in range(0, len(detail), _PIXELS):
-        part = slice(first, first + _PIXELS)
+
+    def work(part: slice) -> int:
         view, frame = pixels.view[part], pixels.frame[part]
         seen = Seen(appearance, appearance.look_up(lookups.part(part)), view)
         for radius, lights in () if lit.lights is None else lit.lights.by_radius():
             if radius == 0.0:
                 found[:, part] += _under_points(seen, frame, lights)
-        if lit.discs is not None:
-            for half in (0, 1):
-                random = np.random.default_rng([half, first, 1])
-                found[half, part] += _sampled(seen, frame, lit.discs, random)
+        sized: list[tuple[Lights | Environment, NDArray]] = [(lit.discs, frame)] if lit.discs is not None else []
         if lit.environment is not None:
-            turned = lit.environment.turned(frame)
+            sized.append((lit.environment, lit.environment.turned(frame)))
+        for number, (light, turned) in enumerate(sized):
             for half in (0, 1):
-                random = np.random.default_rng([half, first])
-                found[half, part] += _sampled(seen, turned, lit.environment, random)
+                # Seeded by what it draws, so that threads do not matter.
+                random = np.random.default_rng([part.start, number, half])
+                found[half, part] += _sampled(seen, turned, light, directions, random)
+        return len(view)
+
+    jobs = [(slice(i, min(i + _PIXELS, len(detail))),) for i in range(0, len(detail), _PIXELS)]
+    run_in_threads(work, jobs, threads, None, len(detail))
     return found
 
 
@@ -184,7 +192,9 @@ def _under_points(seen: Seen, frame: NDArray, lights: Lights) -> NDArray:
     return found
 
 
-def _sampled(seen: Seen, frame: NDArray, light: Environment | Lights, random: np.random.Generator) -> NDArray:
+def _sampled(
+    seen: Seen, frame: NDArray, light: Environment | Lights, directions: int, random: np.random.Generator
+) -> NDArray:
     """Radiance (n, 3) under light that has a size: the mean of f L / (p_l + p_a) over directions of either density."""
     found = np.zeros((len(frame), 3))
     count = len(frame)
@@ -192,13 +202,13 @@ def _sampled(seen: Seen, frame: NDArray, light: Environment | Lights, random: np
     towards = light.table[LIGHT_X : LIGHT_Z + 1].T.astype(np.float64)
     run = random.integers(len(towards), size=count)
     # Jittered along the first number, so that a pixel's directions are spread over the lobe.
-    u = random.random((_PLAIN_DIRECTIONS, count, 2))
-    u[..., 0] = (u[..., 0] + np.argsort(random.random(u.shape[:2]), axis=0)) / _PLAIN_DIRECTIONS
-    for i in range(_PLAIN_DIRECTIONS):
+    u = random.random((directions, count, 2))
+    u[..., 0] = (u[..., 0] + np.argsort(random.random(u.shape[:2]), axis=0)) / directions
+    for i in range(directions):
         of_light = np.einsum("nij,nj->ni", frame, towards[(run + i) % len(towards)])
         of_lobe = np.asarray(seen.appearance.sample(seen.texels, seen.view, u[i]), np.float64)
         for direction in (of_light, of_lobe):
             radiance, density = light.look_up(np.einsum("nji,nj->ni", frame, direction))
             density = density + seen.appearance.pdf(seen.texels, seen.view, direction)
             found += seen.reflected(direction) * radiance / np.maximum(density, 1e-20)[:, None]
-    return found / _PLAIN_DIRECTIONS
+    return found / directions
