@@ -62,6 +62,11 @@ class Channels:
         return self.one if self._svbrdf.occlusion is None else self._svbrdf.occlusion
 
     @property
+    def opacity(self) -> NDArray:
+        """Share of the texel that there is surface, 1 where the set does not say."""
+        return self.one if self._svbrdf.opacity is None else self._svbrdf.opacity
+
+    @property
     def normal_x(self) -> NDArray:
         """X of the normal, [-1, 1] on [0, 1]."""
         return 0.5 + 0.5 * self._svbrdf.normal[..., 0]

@@ -18,7 +18,10 @@ _FLOAT, _UNSIGNED_SHORT = 5126, 5123
 _LINEAR, _TRILINEAR, _REPEAT, _CLAMP = 9729, 9987, 10497, 33071
 
 
-def write_glb(file: BinaryIO, textures: Mapping[str, bytes], name: str, size: tuple[int, int], wrap: str) -> None:
+def write_glb(
+    file: BinaryIO, textures: Mapping[str, bytes], name: str, size: tuple[int, int], wrap: str, *, alpha: str = "",
+    cutoff: float | None = None,
+) -> None:  # fmt: skip
     """Write a GLB.
 
     Args:
@@ -27,6 +30,7 @@ def write_glb(file: BinaryIO, textures: Mapping[str, bytes], name: str, size: tu
         name: of the material.
         size: (height, width) of level 0; the square becomes a rectangle of these proportions, its longer side 2 wide.
         wrap: "tile" or "clamp".
+        alpha: "mask", "blend" or "": what the base colour's alpha is. cutoff: of a mask.
 
     Raises:
         OSError: when the file cannot be written.
@@ -76,6 +80,10 @@ def write_glb(file: BinaryIO, textures: Mapping[str, bytes], name: str, size: tu
                 "anisotropyTexture": {"index": index["anisotropy"]},
             }
         }
+    if alpha:
+        # What has an alpha is as thin as a leaf: it is seen from both sides.
+        material |= {"alphaMode": "BLEND" if cutoff is None else "MASK", "doubleSided": True}
+        material |= {} if cutoff is None else {"alphaCutoff": cutoff}
     document["materials"] = [material]
     document["buffers"] = [{"byteLength": len(binary.data)}]
     text = json.dumps(document, separators=(",", ":"), sort_keys=True).encode()

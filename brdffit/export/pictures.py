@@ -20,6 +20,7 @@ from brdffit.export.beside import write_beside
 from brdffit.export.channels import Channels, gltf_strength_from_alphas
 from brdffit.export.compression import check_compression, encode_level, encode_uastc, require_basis
 from brdffit.export.cost import Cost
+from brdffit.export.coverage import share_above, with_alpha, with_kept_coverage
 from brdffit.export.dds import write_dds
 from brdffit.export.formats import FORMATS, PixelFormat
 from brdffit.export.gltf import write_glb
@@ -82,6 +83,7 @@ def write_pictures(
     levels = [level.svbrdf for level in pyramid.levels]
     if preset.container != "png":
         levels = full_chain(levels)
+    levels = with_kept_coverage(levels)
     folder = fresh / ("mips" if preset.container == "png" else preset.name)
     folder.mkdir()
     drawing, cost = Drawing(levels, preset.normal_y), Cost(levels[: len(pyramid)], preset.normal_y)
@@ -92,6 +94,7 @@ def write_pictures(
             continue
         if picture.needs == "occlusion" and levels[0].occlusion is None:
             continue
+        picture = with_alpha(picture, levels[0])
         pixels = pixels_of(picture, preset, bits)
         is_float = preset.container == "exr" or (pixels is not None and pixels.is_float)
         srgb = picture.srgb and not is_float
@@ -119,9 +122,22 @@ def write_pictures(
         }
     if preset.container == "glb":
         with (folder / f"{name}.glb").open("wb") as stream:
-            write_glb(stream, textures, name, levels[0].size, levels[0].wrap)
+            cutoff = levels[0].cutoff if levels[0].alpha == "mask" else None
+            alpha = levels[0].alpha if levels[0].opacity is not None else ""
+            write_glb(stream, textures, name, levels[0].size, levels[0].wrap, alpha=alpha, cutoff=cutoff)
     write_beside(preset, folder, name, levels[0].wrap, list(records))
-    return {"pictures": records, "stored": cost.figures()}
+    return {"pictures": records, "stored": cost.figures()} | _of_alpha(levels)
+
+
+def _of_alpha(levels: Sequence[Svbrdf]) -> dict[str, Any]:
+    """For the manifest: what alpha is, and the share of each level that passes its test."""
+    base = levels[0]
+    if base.opacity is None or not base.alpha:
+        return {}
+    if base.alpha != "mask":
+        return {"alpha": {"mode": base.alpha}}
+    shares = [round(share_above(each.opacity, base.cutoff), 4) for each in levels if each.opacity is not None]
+    return {"alpha": {"mode": base.alpha, "cutoff": base.cutoff, "tested_share": shares}}
 
 
 def pixels_of(picture: Picture, preset: Preset, bits: int) -> PixelFormat | None:
