@@ -14,6 +14,9 @@ from brdffit.halfangle.quadrature import LOBE_COLUMNS
 from brdffit.learned.moments import MOMENTS, lobe_moments
 from brdffit.learned.tables import prepare_lobes
 
+#: What a texel that reflects nothing weighs.
+_DARKEST = 1e-9
+
 
 class Gathered(NamedTuple):
     """Of n texels: ``moments`` (n, MOMENTS), filtered specular ``colour`` (n, 3), ``diffuse`` (n, 9) as
@@ -23,6 +26,17 @@ class Gathered(NamedTuple):
     colour: NDArray
     diffuse: NDArray
     some: NDArray
+
+    @staticmethod
+    def empty(texels: int) -> Gathered:
+        """Arrays to be filled."""
+        return Gathered(
+            np.zeros((texels, MOMENTS)), np.zeros((texels, 3)), np.zeros((texels, 9)), np.zeros(texels, np.bool_)
+        )
+
+    def rows(self, part: slice) -> Gathered:
+        """Some of its texels, not copied."""
+        return Gathered(*(array[part] for array in self))
 
 
 @kernel
@@ -47,7 +61,23 @@ def diffuse_rows(moments, normal, exponent, out):
 
 def gather(base: Base, strata: Strata, room: int, columns: NDArray, rows: NDArray) -> Gathered:
     """Texels (columns[i], rows[i]) of a level; ``room`` is how many lobes a footprint may have."""
-    n = len(columns)
-    found = Gathered(np.zeros((n, MOMENTS)), np.zeros((n, 3)), np.zeros((n, 9)), np.zeros(n, np.bool_))
+    found = Gathered.empty(len(columns))
     gather_rows(base, strata, columns, rows, np.zeros((room + 1, LOBE_COLUMNS)), *found)
     return found
+
+
+def pooled(finer: Gathered, size: tuple[int, int]) -> Gathered:
+    """The next level, of half the ``size`` (both even) of this one.
+
+    A box footprint is the union of four of the level before: colours are their mean, moments their mean weighted by
+    reflected light. It costs hardly anything, and leaves nothing to chance where footprints are wide.
+    """
+    height, width = size
+
+    def mean(array: NDArray) -> NDArray:
+        four = array.reshape(height // 2, 2, width // 2, 2, array.shape[1])
+        return four.mean(axis=(1, 3)).reshape(-1, array.shape[1])
+
+    weight = np.maximum(finer.colour.sum(axis=1, keepdims=True), _DARKEST)
+    moments = mean(finer.moments * weight) / mean(weight)
+    return Gathered(moments, mean(finer.colour), mean(finer.diffuse), mean(finer.some[:, None])[:, 0] > 0.0)

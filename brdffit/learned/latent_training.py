@@ -34,7 +34,7 @@ from brdffit.nets.layers import Network
 
 #: Iterations of the paper's training.
 PAPER_STEPS = 310_000
-#: Crops that are at hand; every so many steps one of them is replaced by a fresh one.
+#: Crops that are at hand; one of them is replaced by a fresh one every so many steps, in the mean.
 CROPS, _STEPS_A_CROP = 1000, 15
 # The paper's 5e-5 is for one noisy sample a pixel; the exact objective bears more.
 _RATE, _WARM_STEPS, _HALVINGS = 3e-4, 100, 6.2
@@ -46,7 +46,7 @@ _PATCHES, _PATCH, _BORDER = 2, 64, 8
 
 
 class LatentTask:
-    """Networks and their crops.
+    """Networks and their crops. A training that is resumed begins with the first crops again.
 
     Args:
         sources: sets to train on.
@@ -67,7 +67,6 @@ class LatentTask:
         self.crops = [make_crop(self.sets, rng) for _ in range(crops)]
         self.networks_.whiten_by(np.concatenate([crop.inputs.reshape(-1, INPUTS) for crop in self.crops[:256]]))
         self.judged = [patch for each in (self.held_out or self.sources) for patch in judged_patches(each, rng)]
-        self.steps = 0
 
     def networks(self) -> dict[str, Network]:
         """Both."""
@@ -83,8 +82,7 @@ class LatentTask:
 
     def accumulate(self, rng: np.random.Generator) -> float:
         """One crop."""
-        self.steps += 1
-        if self.steps % _STEPS_A_CROP == 0:
+        if rng.integers(_STEPS_A_CROP) == 0:
             self.crops[rng.integers(len(self.crops))] = make_crop(self.sets, rng)
         return learn_crop(self.networks_, self.crops[rng.integers(len(self.crops))])
 

@@ -23,7 +23,7 @@ from brdffit.fitting.status import CLOSED_FORM, KEPT, NO_SPECULAR
 from brdffit.footprint import filter_channels, get_pixel_filter, iter_pyramid
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
-from brdffit.learned.gathering import diffuse_rows, gather
+from brdffit.learned.gathering import Gathered, diffuse_rows, gather, pooled
 from brdffit.learned.latent import (
     FACTOR,
     NORMAL,
@@ -45,6 +45,8 @@ _MODEL = "ggx"
 #: Of the option ``weights``: those that the program ships.
 _SHIPPED = "shipped"
 _TEXELS_PER_PIECE = 8192
+#: Levels of no more texels keep their moments, of which the next are made: 400 bytes a texel.
+_MOST_KEPT = 1 << 18
 #: Scales are never corrected by more than this factor's log.
 _MOST_FACTOR = 2.0
 
@@ -146,14 +148,20 @@ class Learned(LobeMethod):
         search = search_settings(_fit_options(options), get_quality(options.quality), base, model, model)
         kernels = model_kernels(_MODEL, _MODEL)
         pyramid = Pyramid(self.name, options, [], notes)
-        fitted = 0
+        fitted, sizes = 0, level_sizes(svbrdf.size, options.levels)
+        found: Gathered | None = None
         with ThreadPoolExecutor(options.threads or os.cpu_count()) as pool:
-            for mip_level, size in enumerate(level_sizes(svbrdf.size, options.levels)):
+            for mip_level, size in enumerate(sizes):
                 started = time.perf_counter()
                 if mip_level == 0 and options.keep_level_0:
                     level = Level(svbrdf.replace(height=None), status=np.full(size, KEPT, np.uint8))
                 else:
-                    level, count = _level(base, svbrdf, options, search, kernels, mip_level, size, pool, progress)
+                    finer = sizes[mip_level - 1] if mip_level else size
+                    nested = found is not None and finer == (2 * size[0], 2 * size[1]) and options.pixel_filter == "box"
+                    known = pooled(found, finer) if nested and found is not None else None
+                    level, count, found = _level(
+                        base, svbrdf, options, search, kernels, mip_level, size, known, pool, progress
+                    )
                     fitted += count
                 level.seconds = time.perf_counter() - started
                 pyramid.levels.append(level)
@@ -168,22 +176,33 @@ class Learned(LobeMethod):
 
 def _level(
     base: Base, svbrdf: Svbrdf, options: LearnedOptions, search: Any, kernels: ModelKernels, mip_level: int,
-    size: tuple[int, int], pool: Executor, progress: Progress | None,
-) -> tuple[Level, int]:  # fmt: skip
-    """One level, and how many of its texels were fitted."""
+    size: tuple[int, int], known: Gathered | None, pool: Executor, progress: Progress | None,
+) -> tuple[Level, int, Gathered | None]:  # fmt: skip
+    """One level, how many of its texels were fitted, and the moments of the level unless it is too large to keep them.
+
+    ``known``: its moments, if they were made of the level before.
+    """
     network, _ = load_network(_weights(options.weights, LEARNED))
     pixel_filter = get_pixel_filter(options.pixel_filter)
     gathered = level_rules(pixel_filter, svbrdf.size, size, mip_level, get_quality("draft"))
     rules = level_rules(pixel_filter, svbrdf.size, size, mip_level, get_quality(options.quality))
     texels = size[0] * size[1]
     output = make_output(texels)
+    kept = known if known is not None or texels > _MOST_KEPT else Gathered.empty(texels)
     counts = []
 
     def work(first: int) -> None:
         index = np.arange(first, min(first + _TEXELS_PER_PIECE, texels))
         part = Output(*(array[first : first + len(index)] for array in output))
         columns, rows = index % size[1], index // size[1]
-        found = gather(base, gathered.strata, gathered.room, columns, rows)
+        here = slice(first, first + len(index))
+        if known is not None:
+            found = known.rows(here)
+        else:
+            found = gather(base, gathered.strata, gathered.room, columns, rows)
+            if kept is not None:
+                for whole, piece in zip(kept.rows(here), found, strict=True):
+                    whole[:] = piece
         said = network.predict(found.moments)
         normal = np.concatenate([-said.theta[:, :2], np.ones((len(index), 1))], axis=1)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -206,7 +225,7 @@ def _level(
 
     for _ in pool.map(work, range(0, texels, _TEXELS_PER_PIECE)):
         pass
-    return Level(_image_of(output, size, svbrdf, options), output.status.reshape(size)), sum(counts)
+    return Level(_image_of(output, size, svbrdf, options), output.status.reshape(size)), sum(counts), kept
 
 
 def _image_of(output: Output, size: tuple[int, int], svbrdf: Svbrdf, options: LobeOptions) -> Svbrdf:

@@ -1,7 +1,7 @@
 """The training loop: time or steps, a held-out figure every minute, checkpoints written whole, a curve in the end.
 
-Step t draws its random numbers from (seed, t) alone, and the loop runs on one thread: a run that was stopped and
-resumed, or given more threads, takes the same steps.
+Step t draws its random numbers from (seed, t) alone, and the loop runs on one thread: the same seed and steps give the
+same weights on one kind of processor.
 """
 
 from __future__ import annotations
