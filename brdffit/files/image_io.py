@@ -13,12 +13,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError, OutputError
+from brdffit.files.layout import default_layer, upright
 
 #: File types that are read as maps of a texture set.
 IMAGE_SUFFIXES = (
@@ -129,7 +131,11 @@ def read_image(path: str | Path, data: bytes | None = None) -> Image:
             count = reader.spec().nchannels
             pixels = reader.read_image(info.part, 0, 0, count, oiio.FLOAT)
             # A truncated JPEG returns an array: only the error tells.
-            problem = reader.geterror() if reader.has_error else ""
+            problem = _error_of(reader) if reader.has_error else ""
+        except MemoryError as error:
+            raise InputError(
+                f"'{path}' says it is {info.width}x{info.height} with {count} channels, more than there is memory for."
+            ) from error
         finally:
             reader.close()
     if pixels is None or problem:
@@ -144,19 +150,8 @@ def read_image(path: str | Path, data: bytes | None = None) -> Image:
         alpha = pixels[:, :, -1:]
         colours = np.divide(pixels[:, :, :-1], alpha, out=np.zeros_like(pixels[:, :, :-1]), where=alpha > 0.0)
         pixels = np.concatenate([colours if info.is_float else np.minimum(colours, 1.0), alpha], axis=2)
-    pixels = np.ascontiguousarray(_upright(pixels, info.orientation))
+    pixels = np.ascontiguousarray(upright(pixels, info.orientation))
     return Image(**{name: getattr(info, name) for name in ImageInfo.__dataclass_fields__}, pixels=pixels)
-
-
-def _upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Stored pixels (H, W, C) as the picture is meant: Exif orientations 1 to 8."""
-    if orientation >= 5:
-        pixels = pixels.transpose(1, 0, 2)
-    if orientation in (2, 3, 6, 7):
-        pixels = pixels[:, ::-1]
-    if orientation in (3, 4, 7, 8):
-        pixels = pixels[::-1]
-    return pixels
 
 
 def write_png(path: str | Path, pixels: NDArray) -> None:
@@ -250,7 +245,7 @@ def read_mip_exr(path: str | Path, channel_names: Sequence[str] | None = None) -
         while reader.seek_subimage(0, len(levels)):
             spec = reader.spec()
             pixels = reader.read_image(0, len(levels), 0, spec.nchannels, oiio.FLOAT)
-            problem = reader.geterror() if reader.has_error else ""
+            problem = _error_of(reader) if reader.has_error else ""
             if pixels is None or problem:
                 raise InputError(f"'{path}' is damaged at MIP level {len(levels)} ({_one_line(problem)}).")
             shaped = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
@@ -294,10 +289,22 @@ def _open(path: Path, file: Path) -> tuple[oiio.ImageInput, ImageInfo]:
     except (UnicodeEncodeError, TypeError) as error:
         raise InputError(f"'{path}' has a name that is not UTF-8, expected one that is: rename it.") from error
     if reader is None:
-        raise InputError(f"'{path}' is not an image that can be read ({_one_line(oiio.geterror())}).")
+        raise InputError(f"'{path}' is not an image that can be read ({_error_of(oiio)}).")
+    try:
+        return reader, _info_of(reader, path)
+    except UnicodeDecodeError as error:
+        reader.close()
+        raise InputError(f"'{path}' is damaged: its header holds text that is not UTF-8.") from error
+    except InputError:
+        reader.close()
+        raise
+
+
+def _info_of(reader: oiio.ImageInput, path: Path) -> ImageInfo:
+    """What the header of an open file says."""
     part, remark = _first_with_colours(reader)
     spec = reader.spec()
-    names, picked, more = _default_layer(tuple(spec.channelnames))
+    names, picked, more = default_layer(tuple(spec.channelnames))
     remark = remark + more
     base = str(oiio.TypeDesc(spec.format.basetype))
     orientation = spec.get_int_attribute("Orientation", 1)
@@ -319,17 +326,17 @@ def _open(path: Path, file: Path) -> tuple[oiio.ImageInput, ImageInfo]:
         remark=remark,
     )
     if reader.has_error:
-        problem = _one_line(reader.geterror())
-        reader.close()
-        raise InputError(f"'{path}' is not an image that can be read ({problem}).")
-    return reader, info
+        raise InputError(f"'{path}' is not an image that can be read ({_error_of(reader)}).")
+    if not (info.width > 0 and info.height > 0 and names):
+        raise InputError(f"'{path}' has no pixels ({info.width}x{info.height}), expected an image.")
+    return info
 
 
 def _first_with_colours(reader: oiio.ImageInput) -> tuple[int, str]:
     """The part of a file to read, and what is left out; the reader is set to it. MIP levels are no parts."""
     if reader.format_name() != "openexr" or not reader.seek_subimage(1, 0):
         reader.seek_subimage(0, 0)
-        reader.geterror()
+        _error_of(reader)
         return 0, ""
     names: list[str] = []
     chosen = None
@@ -340,41 +347,33 @@ def _first_with_colours(reader: oiio.ImageInput) -> tuple[int, str]:
         if chosen is None and ({"R", "G", "B"} <= plain or {"X", "Y", "Z"} <= plain or plain == {"Y"}):
             chosen = len(names) - 1
     chosen = chosen or 0
-    reader.geterror()
+    _error_of(reader)
     reader.seek_subimage(chosen, 0)
     return chosen, f" has {len(names)} parts ({', '.join(names)}): '{names[chosen]}' is read."
-
-
-def _default_layer(names: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[int, ...], str]:
-    """Channel names without their layer, indices of those that are read (() for all), and what is left out."""
-    layers = list(dict.fromkeys(name.rpartition(".")[0] for name in names))
-    chosen = "" if "" in layers else (layers[0] if layers else "")
-    indices = [k for k, name in enumerate(names) if name.rpartition(".")[0] == chosen]
-    plain: Sequence[str] = [names[k].rpartition(".")[2] for k in indices]
-    if {"R", "G", "B"} <= set(plain):
-        # Depth and what else stands beside colours is no channel of a map.
-        indices = [indices[plain.index(letter)] for letter in "RGBA" if letter in plain]
-        plain = [names[k].rpartition(".")[2] for k in indices]
-    if indices == list(range(len(names))):
-        return tuple(plain), (), ""
-    left = [name for k, name in enumerate(names) if k not in indices]
-    return tuple(plain), tuple(indices), f" holds more channels ({', '.join(left[:8])}), which are left out."
 
 
 def _create(path: Path, file_format: str) -> oiio.ImageOutput:
     writer = oiio.ImageOutput.create(file_format)
     if writer is None:
-        raise OutputError(f"'{path}' could not be written: {_one_line(oiio.geterror())}.")
+        raise OutputError(f"'{path}' could not be written: {_error_of(oiio)}.")
     return writer
 
 
 def _check(done: bool, writer: oiio.ImageOutput, path: Path) -> None:
-    problem = writer.geterror() if writer.has_error else ""
+    problem = _error_of(writer) if writer.has_error else ""
     if not done or problem:
         writer.close()
         raise OutputError(
             f"'{path}' could not be written ({_one_line(problem)}): is the folder writable and the disk not full?"
         )
+
+
+def _error_of(source: Any) -> str:
+    """The library's words for what went wrong, on one line; they may quote bytes of the file that are no text."""
+    try:
+        return _one_line(source.geterror())
+    except UnicodeDecodeError:
+        return "its bytes are not as they should be"
 
 
 def _one_line(text: str) -> str:

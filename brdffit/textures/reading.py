@@ -101,8 +101,12 @@ def _without_surface(texture_set: TextureSet, path: Path) -> None:
         return
     if texture_set.entry is not None:
         raise InputError(
-            f"'{path}' has no normal map and no height map, nor any other: its material is of constants alone. "
-            + " ".join(texture_set.notes)
+            " ".join(
+                [
+                    f"'{path}' has no normal map and no height map, nor any other: its material is of constants alone.",
+                    *texture_set.notes,
+                ]
+            )
         )
     found = ", ".join(f"{named.path.name} ({role})" for role, named in texture_set.maps.items()) or "no known role"
     raise InputError(
