@@ -105,6 +105,49 @@ def test_each_udim_tile_is_a_set(tmp_path):
     assert read_settings(None, tmp_path).of(found[0], {"wrap": "tile"})["wrap"] == "tile"
 
 
+def test_tiles_counted_from_one_and_numbers_anywhere(tmp_path):
+    for tile in ("u1_v1", "u2_v1", "u1_v2"):
+        write_maps(tmp_path / "one", names="Hero_{}_" + f"{tile}.png")
+    for tile in (1001, 1002):
+        write_maps(tmp_path / "two", names=f"Hero.{tile}." + "{}.png")
+    found = find_sets(tmp_path)
+    assert [each.udim for each in found] == [1001, 1002, 1011, 1001, 1002]
+    assert maps_of(found[1])["normal"] == "Hero_NormalGL_u2_v1.png"
+    assert maps_of(found[4])["normal"] == "Hero.1002.NormalGL.png"
+
+
+def test_a_map_without_a_tile_serves_all_of_them(tmp_path):
+    for tile in (1001, 1002):
+        write_maps(tmp_path / "hero", names="Hero_{}." + f"{tile}.png", roles=("Color", "NormalGL"))
+    write_maps(tmp_path / "hero", names="Hero_{}.png", roles=("Roughness",))
+    found = find_sets(tmp_path)
+    assert [each.udim for each in found] == [1001, 1002]
+    assert all(maps_of(each)["roughness"] == "Hero_Roughness.png" for each in found)
+
+
+def test_each_material_that_a_mesh_uses_is_a_set(tmp_path):
+    """Four materials, one of them unused, one without maps: two sets, and their pictures are none of their own."""
+    folder = tmp_path / "helmet"
+    for name in ("Glass", "Metal", "Spare"):
+        write_maps(folder, names=name + "_{}.png", roles=("NormalGL",))
+    document = {
+        "asset": {"version": "2.0"},
+        "materials": [
+            {"name": "Glass", "normalTexture": {"index": 0}}, {"name": "Spare", "normalTexture": {"index": 2}},
+            {"name": "Metal/old", "normalTexture": {"index": 1}}, {"name": "Plain"},
+        ],
+        "textures": [{"source": 0}, {"source": 1}, {"source": 2}],
+        "images": [{"uri": f"{name}_NormalGL.png"} for name in ("Glass", "Metal", "Spare")],
+        "meshes": [{"primitives": [{"material": 0}, {"material": 2}, {"material": 3}]}],
+    }  # fmt: skip
+    (folder / "Helmet.gltf").write_text(json.dumps(document))
+    found = find_sets(tmp_path)
+    sets = {each.key: each.material for each in found if each.material}
+    assert sets == {"helmet/Glass": "Glass", "helmet/Metal-old": "Metal/old"}
+    assert [maps_of(each)["normal"] for each in found if each.material] == ["Glass_NormalGL.png", "Metal_NormalGL.png"]
+    assert not [each for each in found if not each.material and each.files and "Glass_NormalGL.png" in each.files]
+
+
 def test_tiles_of_two_materials(tmp_path):
     for name in ("Head", "Body"):
         for tile in (1001, 1002):

@@ -26,10 +26,8 @@ from brdffit.library.task import Outcome, Task
 from brdffit.library.thumbnail import make_thumbnail
 from brdffit.methods import Material, Method, get_method, with_options
 from brdffit.svbrdf import Svbrdf
-from brdffit.textures import reading as sets
-from brdffit.textures.orientation import settle_normal_y
-from brdffit.textures.reading import read_texture_set
-from brdffit.textures.texture_set import Map, TextureSet
+from brdffit.textures.reading import explicit_roles, read_texture_set, set_of_names, settle
+from brdffit.textures.texture_set import TextureSet
 
 
 @cache
@@ -86,30 +84,19 @@ def open_set(task: Task) -> TextureSet:
     Raises:
         InputError: as ``read_texture_set``.
     """
-    found, reading = task.found, task.reading
+    found, reading = task.found, dict(task.reading)
     if found.files is None:
+        reading["material"] = found.material or reading.get("material")
         texture_set = read_texture_set(found.source, **reading)
         texture_set.name = found.name
         return texture_set
     # As read_texture_set, of some files of a folder that holds more.
     named = named_group(found.folder, found.files, found.udim)
-    maps = {
-        role: Map(role, found.folder / each.file, each.channel, word=each.word) for role, each in named.maps.items()
-    }
-    texture_set = TextureSet(name=found.name, maps=maps, notes=list(named.notes))
-    texture_set.wrap, texture_set.height_scale = reading["wrap"] or texture_set.wrap, reading["height_scale"]
-    texture_set.denoise_normals = reading["denoise_normals"]
-    texture_set.maps |= sets.explicit_roles(found.folder, dict(reading["roles"] or {}))
-    sets.normal_y_from_names(texture_set, named)
-    sets.check_sizes(texture_set, found.folder)
-    if not {"normal", "height"} & texture_set.maps.keys():
-        files = ", ".join(found.files)
-        raise InputError(
-            f"'{found.source}' has no normal map and no height map for '{found.name}' (found: {files}), expected one "
-            "of them."
-        )
-    if "normal" in texture_set.maps:
-        settle_normal_y(texture_set, reading["normal_y"])
+    explicit = explicit_roles(found.folder, dict(reading.pop("roles") or {}))
+    reading.pop("material", None)
+    texture_set = set_of_names(found.folder, named, explicit)
+    texture_set.name = found.name
+    settle(texture_set, found.folder, **reading)
     return texture_set
 
 

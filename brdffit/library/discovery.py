@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from brdffit.export.manifest import FILE_NAME as MANIFEST
 from brdffit.files.image_io import IMAGE_SUFFIXES
 from brdffit.library.grouping import groups_of, named_with_alpha
 from brdffit.library.task import Found
-from brdffit.textures.reading import SUFFIXES, read_material
+from brdffit.textures.reading import SUFFIXES, material_names, read_material
 
 
 def find_sets(
@@ -103,6 +104,19 @@ def _sets_of(folder: Path, place: str, root: Path) -> list[Found]:
         return f"{place}/{name}" if place else name
 
     groups = groups_of(folder, images) if images else None
+    several = [
+        Found(within(f"{stem}/{_as_folder(name)}" if len(scenes) > 1 or not place else _as_folder(name)),
+              folder / scene, material=name)
+        for scene in scenes
+        for stem, names in [(Path(scene).stem, _materials(folder / scene))]
+        if len(names) > 1
+        for name in names
+    ]  # fmt: skip
+    if several:
+        # What such a file uses is no set of its own; what else lies there may be.
+        used = {path.resolve() for found in several for path in references(found.source, found.material)}
+        left = [group for group in groups or [] if not all((folder / file).resolve() in used for file in group.files)]
+        return several + [Found(within(group.name or whole), folder, group.files, group.udim) for group in left]
     if groups:
         return [Found(within(group.name or whole), folder, group.files, group.udim) for group in groups]
     maps = named_with_alpha(folder, images).maps if images else {}
@@ -114,13 +128,26 @@ def _sets_of(folder: Path, place: str, root: Path) -> list[Found]:
     return [Found(whole, folder)] if maps else []
 
 
+def _materials(entry: Path) -> list[str]:
+    """Materials of a file; none where it is damaged, which is told when it is read."""
+    try:
+        return material_names(entry)
+    except InputError:
+        return []
+
+
+def _as_folder(name: str) -> str:
+    """A material's name as that of a folder."""
+    return re.sub(r"[\\/:]+", "-", name).strip(". ") or "material"
+
+
 def _without_parts(sets: list[Found]) -> list[Found]:
     """Without the folders of images that a material file names: its textures are no set of their own."""
     used: set[Path] = set()
     for found in sets:
         entry = material_file(found)
         if entry is not None:
-            used |= {path.resolve() for path in references(entry)}
+            used |= {path.resolve() for path in references(entry, found.material)}
     kept = []
     for found in sets:
         if used and material_file(found) is None:
@@ -140,19 +167,17 @@ def material_file(found: Found) -> Path | None:
         return found.source
     if found.files is not None:
         return None
-    names = sorted(os.listdir(found.source))
-    scenes = [name for name in names if name.lower().endswith(SUFFIXES) and not name.startswith(".")]
-    images = [name for name in names if name.lower().endswith(IMAGE_SUFFIXES) and not name.startswith(".")]
-    if len(scenes) != 1 or {"normal", "height"} & named_with_alpha(found.source, images).maps.keys():
-        return None
-    return found.source / scenes[0]
+    scenes = [name for name in os.listdir(found.source) if name.lower().endswith(SUFFIXES) and name[0] != "."]
+    return found.source / scenes[0] if len(scenes) == 1 else None
 
 
-def references(entry: Path) -> list[Path]:
+def references(entry: Path, material: str | None = None) -> list[Path]:
     """The files that a material file needs, itself first; those it names only, where it is damaged."""
     paths = [entry]
     try:
-        paths += sorted({named.path for named in read_material(entry).maps.values()} - {entry})
+        paths += sorted(
+            {path for named in read_material(entry, material).maps.values() for path in named.paths} - {entry}
+        )
         if entry.suffix.lower() == ".gltf":
             buffers = json.loads(entry.read_bytes()).get("buffers", [])
             uris = [buffer["uri"] for buffer in buffers if not buffer.get("uri", "data:").startswith("data:")]

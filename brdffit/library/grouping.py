@@ -17,7 +17,9 @@ from brdffit.files.image_io import read_info
 from brdffit.textures.naming import LETTERS, NamedSet, name_tokens, roles_from_names
 
 #: Tiles are numbered 1001 + u + 10 v; after an underscore the number may be a resolution, and counts with others only.
-_UDIM = re.compile(r"^(?P<rest>.*)(?P<mark>[._])(?P<tile>1[0-9]{3})$")
+_UDIM = re.compile(r"^(?P<rest>.*?)(?P<mark>[._])(?P<tile>1[0-9]{3})(?P<tail>(?:[._-][A-Za-z][A-Za-z0-9]*)*)$")
+#: Mudbox and its kin count from one: u1_v1 is tile 1001.
+_UV = re.compile(r"^(?P<rest>.*?)(?P<mark>[._-])u(?P<u>[1-9])_v(?P<v>\d{1,2})(?P<tail>.*)$", re.IGNORECASE)
 _SURFACE = {"normal", "height"}
 
 
@@ -54,12 +56,33 @@ def udim_tiles(images: Sequence[str]) -> dict[int, dict[str, str]]:
     tiles: dict[int, dict[str, str]] = {}
     marks = set()
     for file in images:
-        stem, _, suffix = file.rpartition(".")
-        match = _UDIM.match(stem)
-        if match and roles_from_names([f"{match['rest']}.{suffix}"]).maps:
-            tiles.setdefault(int(match["tile"]), {})[f"{match['rest']}.{suffix}"] = file
-            marks.add(match["mark"])
-    return {} if marks == {"_"} and (len(tiles) < 2 or 1001 not in tiles) else tiles
+        found = tile_of(file)
+        if found is not None and roles_from_names([found[0]]).maps:
+            tiles.setdefault(found[1], {})[found[0]] = file
+            marks.add(found[2])
+    if marks == {"_"} and (len(tiles) < 2 or 1001 not in tiles):
+        return {}
+    # A map without a tile serves all of them, unless a tile has one of its role.
+    for file in images if len(tiles) > 1 else []:
+        roles = roles_from_names([file]).maps.keys() if tile_of(file) is None else set()
+        for renamed in tiles.values():
+            stems = {_stem(each) for each in renamed}
+            if roles and _stem(file) in stems and not roles & roles_from_names(renamed).maps.keys():
+                renamed[file] = file
+    return tiles
+
+
+def tile_of(file: str) -> tuple[str, int, str] | None:
+    """A file's name without its tile, the tile (1001 and up), and what stands before the number; None without one."""
+    stem, _, suffix = file.rpartition(".")
+    match = _UV.match(stem)
+    if match:
+        tile = 1000 + int(match["u"]) + 10 * (int(match["v"]) - 1)
+        return f"{match['rest']}{match['tail']}.{suffix}", tile, "uv"
+    match = _UDIM.match(stem)
+    if match:
+        return f"{match['rest']}{match['tail']}.{suffix}", int(match["tile"]), match["mark"]
+    return None
 
 
 def named_with_alpha(folder: Path, images: Sequence[str]) -> NamedSet:
@@ -74,7 +97,7 @@ def named_group(folder: Path, files: Sequence[str], udim: int | None) -> NamedSe
     """Roles of the files of one group; of a tile, by the names without its number."""
     if udim is None:
         return named_with_alpha(folder, files)
-    renamed = {_UDIM.sub(r"\g<rest>", file.rpartition(".")[0]) + "." + file.rpartition(".")[2]: file for file in files}
+    renamed = {(tile_of(file) or (file,))[0]: file for file in files}
     alpha = [name for name, file in renamed.items() if _has_alpha(folder / file)]
     named = roles_from_names(renamed, alpha)
     maps = {role: replace(each, file=renamed[each.file]) for role, each in named.maps.items()}

@@ -71,7 +71,7 @@ def input_files(task: Task) -> dict[str, Path]:
         entry = material_file(found)
     except OSError as error:
         raise InputError(f"'{found.source}' cannot be read: {error.strerror}.") from error
-    paths += references(entry) if entry is not None else []
+    paths += references(entry, found.material) if entry is not None else []
     for text in (task.reading["roles"] or {}).values():
         file, _, channel = text.rpartition(":")
         paths.append(folder / (file if file and channel.upper() in ("R", "G", "B", "A") else text))

@@ -16,12 +16,14 @@ class Found:
         source: the folder, or the .gltf, .glb or .mtlx file.
         files: names of the folder's files that are this set, where the folder holds several; else None.
         udim: tile of a UDIM set (1001 and up), or None.
+        material: name of the material in a file that holds several, or None.
     """
 
     key: str
     source: Path
     files: tuple[str, ...] | None = None
     udim: int | None = None
+    material: str | None = None
 
     @property
     def name(self) -> str:

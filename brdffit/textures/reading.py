@@ -13,8 +13,8 @@ from brdffit.files.image_io import IMAGE_SUFFIXES, UNREAD_SUFFIXES, read_info
 from brdffit.svbrdf import WRAPS
 from brdffit.textures.coverage import DEFAULT_CUTOFF, NOTHING, looks_like_coverage
 from brdffit.textures.frames import IDENTITY, common_frame
-from brdffit.textures.gltf import read_gltf
-from brdffit.textures.materialx import read_materialx
+from brdffit.textures.gltf import gltf_material_names, read_gltf
+from brdffit.textures.materialx import materialx_material_names, read_materialx
 from brdffit.textures.naming import ROLES, NamedSet, old_cc0textures, packed_roles, roles_from_names
 from brdffit.textures.orientation import settle_normal_y
 from brdffit.textures.texture_set import MAX_SIDE, NORMAL_YS, Map, TextureSet
@@ -42,6 +42,16 @@ def read_material(path: Path, material: str | None = None) -> TextureSet:
     if not data:
         raise InputError(f"'{path}' is empty (0 bytes), expected a {suffix} file.")
     return read_materialx(path, data, material) if suffix == ".mtlx" else read_gltf(path, data, material)
+
+
+def material_names(path: Path) -> list[str]:
+    """Names of the materials of a file that its meshes use and that have a map, as ``--material`` takes them.
+
+    Raises:
+        InputError: when the file cannot be read.
+    """
+    names = materialx_material_names(path) if path.suffix.lower() == ".mtlx" else gltf_material_names(path)
+    return names if len(names) < 2 else [name for name in names if read_material(path, name).maps]
 
 
 def read_texture_set(
@@ -80,18 +90,33 @@ def read_texture_set(
     if height_scale is not None and not (np.isfinite(height_scale) and height_scale > 0.0):
         raise InputError(f"The height scale is {height_scale}, expected a positive number of texels.")
     texture_set = _find_maps(path, dict(roles or {}), material)
+    settle(
+        texture_set, path, normal_y=normal_y, wrap=wrap, height_scale=height_scale, denoise_normals=denoise_normals,
+        without=without,
+    )  # fmt: skip
+    return texture_set
+
+
+def settle(
+    texture_set: TextureSet, path: Path, *, normal_y: str | None = None, wrap: str | None = None,
+    height_scale: float | None = None, denoise_normals: bool = False, without: Collection[str] = (),
+) -> None:  # fmt: skip
+    """Hold the maps of a set against each other and settle their conventions; arguments as of ``read_texture_set``.
+
+    Raises:
+        InputError: when the maps cannot belong together, or there is no surface among them.
+    """
     texture_set.height_scale, texture_set.denoise_normals = height_scale, denoise_normals
     settle_wrap(texture_set, path, wrap)
     settle_frames(texture_set, path)
     check_sizes(texture_set, path)
     if "normal" in without and texture_set.maps:
-        return texture_set
+        return
     if not {"normal", "height"} & texture_set.maps.keys():
         _without_surface(texture_set, path)
     if "normal" in texture_set.maps:
         settle_normal_y(texture_set, normal_y)
     settle_opacity(texture_set)
-    return texture_set
 
 
 def _without_surface(texture_set: TextureSet, path: Path) -> None:
@@ -109,8 +134,9 @@ def _without_surface(texture_set: TextureSet, path: Path) -> None:
             )
         )
     found = ", ".join(f"{named.path.name} ({role})" for role, named in texture_set.maps.items()) or "no known role"
+    of = "" if texture_set.name == path.resolve().name else f" for '{texture_set.name}'"
     raise InputError(
-        f"'{path}' has no normal map and no height map (found: {found}), expected one of them; name it with an "
+        f"'{path}' has no normal map and no height map{of} (found: {found}), expected one of them; name it with an "
         f"explicit role such as normal=FILE."
     )
 
@@ -137,7 +163,7 @@ def _find_maps(path: Path, roles: dict[str, str], material: str | None) -> Textu
     images = [name for name in images if name not in bad]
     named = roles_from_names(images, [name for name in images if _has_alpha(path / name)])
     from_file, why = _by_file(path, scenes, named, material)
-    texture_set = from_file or _by_names(path, named, explicit)
+    texture_set = from_file or set_of_names(path, named, explicit)
     if why:
         texture_set.note(why)
     if bad:
@@ -179,7 +205,7 @@ def _by_file(path: Path, scenes: list[str], named: NamedSet, material: str | Non
     return texture_set, f"Maps and factors are those of '{scene}'." if has_surface else ""
 
 
-def _by_names(path: Path, named: NamedSet, explicit: dict[str, Map]) -> TextureSet:
+def set_of_names(path: Path, named: NamedSet, explicit: dict[str, Map]) -> TextureSet:
     """The set of a folder as its names tell it."""
     for role, files in named.rivals.items():
         if role not in explicit:
