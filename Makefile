@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 TRAIN ?= data/sets/*/
 HELD_OUT ?=
 .PHONY: learn
-.PHONY: help install data bake library compare tradeoff plan picture test test-slow bench bench-full lint clean
+.PHONY: help install data bake library compare tradeoff plan view picture test test-slow bench bench-full lint clean
 .DELETE_ON_ERROR:
 
 help:
@@ -50,6 +50,9 @@ data/sets/made: $(wildcard data/*.toml) brdffit/textures/procedural.py brdffit/t
 # A set of the user's own needs none of ours.
 bake: install $(if $(filter data/sets/%,$(SET)),data/sets/made)
 	$(BIN)/brdffit bake "$(SET)" -o "$(OUT)" --show $(OPTIONS)
+
+view: install $(if $(filter data/sets/%,$(SET)),data/sets/made)
+	$(BIN)/brdffit view "$(SET)" -o "$(OUT)/view.html" --open $(OPTIONS)
 
 compare: data/sets/made
 	$(BIN)/brdffit compare $(or $(SETS),data/sets/*/) -o report $(OPTIONS)

@@ -29,6 +29,7 @@ from brdffit.errors import BrdffitError, UnknownNameError
 from brdffit.learned.cli import learn
 from brdffit.probes.cli import probe
 from brdffit.textures import READING_OPTIONS
+from brdffit.viewer.cli import view
 
 
 class _Group(click.Group):
@@ -56,6 +57,7 @@ def main() -> None:
 
 main.add_command(probe)
 main.add_command(learn)
+main.add_command(view)
 
 
 @main.command(cls=Command)

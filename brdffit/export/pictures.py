@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.colour import encode_srgb
+from brdffit.colour import decode_srgb, encode_srgb
 from brdffit.errors import OutputError
 from brdffit.export.beside import write_beside
-from brdffit.export.channels import Channels, gltf_strength_from_alphas
+from brdffit.export.channels import Channels, decode, gltf_strength_from_alphas
 from brdffit.export.compression import check_compression, encode_level, encode_uastc, require_basis
 from brdffit.export.cost import Cost
 from brdffit.export.coverage import share_above, with_alpha, with_kept_coverage
 from brdffit.export.dds import write_dds
+from brdffit.export.decompression import decode_blocks
 from brdffit.export.formats import FORMATS, PixelFormat
 from brdffit.export.gltf import write_glb
 from brdffit.export.ktx2 import write_ktx2
@@ -138,6 +139,29 @@ def _of_alpha(levels: Sequence[Svbrdf]) -> dict[str, Any]:
         return {"alpha": {"mode": base.alpha}}
     shares = [round(share_above(each.opacity, base.cutoff), 4) for each in levels if each.opacity is not None]
     return {"alpha": {"mode": base.alpha, "cutoff": base.cutoff, "tested_share": shares}}
+
+
+def stored_levels(pyramid: Pyramid, preset: Preset, compress: str = "good") -> list[Svbrdf]:
+    """What an engine gets: the levels of a pyramid drawn as a preset's pictures of 8 bits, compressed and decoded."""
+    levels = [level.svbrdf for level in pyramid.levels]
+    drawing = Drawing(levels, preset.normal_y)
+    channels: list[dict[str, NDArray]] = [{} for _ in levels]
+    for picture in preset.pictures:
+        if picture.needs == "anisotropy" and pyramid.options.lobe != "anisotropic":
+            continue
+        pixels = pixels_of(picture, preset, 8)
+        is_float = preset.container == "exr"
+        srgb = picture.srgb and not is_float
+        codes, _ = drawing.draw(picture, srgb, None if is_float else 8)
+        data = None if pixels is None else to_blocks(pixels, codes, compress)
+        for level, exact in enumerate(codes):
+            stored = exact if is_float else exact / np.float32(255.0)
+            if pixels is not None and data is not None:
+                stored = decode_blocks(pixels, exact.shape[:2], data[level])
+            for place, channel in enumerate(picture.channels):
+                values = stored[..., place]
+                channels[level][channel] = decode_srgb(values) if srgb and place < 3 else values
+    return [decode(each, preset.normal_y).replace(wrap=levels[0].wrap) for each in channels]
 
 
 def pixels_of(picture: Picture, preset: Preset, bits: int) -> PixelFormat | None:
