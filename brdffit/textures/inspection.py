@@ -12,7 +12,7 @@ from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.conversion import scalar_map, to_svbrdf
 from brdffit.textures.noise_floor import subtract_noise_floor
-from brdffit.textures.orientation import DECISIVE, normal_y_agreement
+from brdffit.textures.orientation import DECISIVE, measured_evidence, normal_y_agreement
 from brdffit.textures.texture_set import TextureSet
 
 #: Mean length of stored normals below which they are called short.
@@ -94,8 +94,22 @@ def inspect_set(texture_set: TextureSet) -> Inspection:
         inspection.wrong.append(str(error))
     else:
         _gather(inspection, texture_set, svbrdf)
-    inspection.notes = list(texture_set.notes)
+    inspection.notes = [*_evidence(texture_set), *texture_set.notes]
     return inspection
+
+
+def _evidence(texture_set: TextureSet) -> list[str]:
+    """The verdict on the normal's Y, and every piece of evidence for it with its strength, in one sentence."""
+    if "normal" not in texture_set.maps:
+        return []
+    says = {"gl": "OpenGL", "dx": "DirectX"}
+    weighed = ", ".join(
+        f"{each.source} {says[each.normal_y]} {each.strength:.2f}" for each in measured_evidence(texture_set)
+    )
+    return [
+        f"The normal's Y is read as {says[texture_set.normal_y]}, by: {texture_set.normal_y_source}. Measured, of 1: "
+        f"{weighed or 'nothing'}."
+    ]
 
 
 def _report(texture_set: TextureSet, role: str) -> MapReport:
