@@ -13,6 +13,7 @@ from brdffit.errors import InputError, UnknownNameError
 from brdffit.files.image_io import write_png
 from brdffit.library.bake import open_set
 from brdffit.library.discovery import find_sets
+from brdffit.library.run import run_library
 from brdffit.library.settings import read_settings, split_options
 from brdffit.library.task import Found, Task
 from brdffit.pipeline import bake_to_folder
@@ -270,3 +271,19 @@ def test_settings_with_unknown_names_are_told_before_the_work(tmp_path):
         read_settings(None, tmp_path)
     with pytest.raises(InputError, match="cannot be read"):
         read_settings(tmp_path / "none.toml", tmp_path)
+
+
+def test_names_that_are_not_utf8_are_named_and_the_others_are_baked(tmp_path):
+    """One Latin-1 name once ended a whole run."""
+    root, output = tmp_path / "root", tmp_path / "out"
+    write_maps(root / "good")
+    write_maps(root / "bad")
+    (root / "good" / os.fsdecode(b"caf\xe9.png")).write_bytes(b"x")
+    (root / "bad").rename(root / os.fsdecode(b"caf\xe9"))
+    summary = run_library(root, str(output), method="naive", workers=1)
+    assert [outcome.key for outcome in summary.outcomes if outcome.error is None] == ["good"]
+    failures = [*summary.failures, *summary.plan.failures]
+    assert set(failures) == {os.fsdecode(b"caf\xe9")}
+    assert (output / "good" / "manifest.json").is_file()
+    json.loads((output / "library.json").read_text())
+    assert not run_library(root, str(output), method="naive", workers=1).outcomes

@@ -127,7 +127,9 @@ def stable_digest(manifest: Mapping[str, Any]) -> str:
 
 def to_json(manifest: Mapping[str, Any]) -> str:
     """Text of a manifest: keys sorted, numbers that are not finite as null, one line break at the end."""
-    return json.dumps(_plain(manifest), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(_plain(manifest), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+    # File names need not be UTF-8; what is none is written as JSON's own escape, and read back as it was.
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def foreign_file(folder: Path) -> str | None:

@@ -102,7 +102,7 @@ class _Folder:
         part = final.with_name(f".{name}.{_host()}-{os.getpid()}.part")
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            with part.open("w", encoding="utf-8") as file:
+            with part.open("w", encoding="utf-8", errors="backslashreplace") as file:  # names need not be UTF-8
                 file.write(text)
                 file.flush()
                 os.fsync(file.fileno())
