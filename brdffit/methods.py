@@ -218,14 +218,28 @@ class LobeMethod:
 
     def bake(self, material: Material, options: Any, progress: Progress | None = None) -> Baked:
         """Bake a material, see ``Method``."""
-        pyramid = self.bake_lobes(material.svbrdf.weighted(), options, progress)
+        weighted = material.svbrdf.weighted()
+        pyramid = self.bake_lobes(weighted, options, progress)
         for level in pyramid.levels:
-            level.svbrdf = level.svbrdf.unweighted()
+            level.svbrdf = _with_opacity(level.svbrdf, weighted, options).unweighted()
         return Baked.of_lobes(pyramid)
 
     def bake_lobes(self, svbrdf: Svbrdf, options: Any, progress: Progress | None = None) -> Pyramid:
-        """The levels of lobes; where ``svbrdf`` has opacity, it is ``weighted``, and so is each level."""
+        """The levels of lobes; where ``svbrdf`` has opacity it is ``weighted``, and so are colours of levels."""
         raise NotImplementedError
+
+
+def _with_opacity(level: Svbrdf, base: Svbrdf, options: Any) -> Svbrdf:
+    """``level`` with the filtered weights of ``base`` (both ``weighted``), where the method did not carry them."""
+    if base.opacity is None or level.opacity is not None:
+        return level
+    from brdffit.footprint import filter_channels, get_pixel_filter
+
+    opacity = base.opacity
+    if level.size != base.size or not options.keep_level_0:
+        pixel_filter = get_pixel_filter(options.pixel_filter)
+        opacity = filter_channels(opacity[..., None], level.size, pixel_filter, base.wrap)[..., 0]
+    return level.replace(opacity=opacity, alpha=base.alpha, cutoff=base.cutoff)
 
 
 @cache
