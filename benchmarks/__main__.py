@@ -9,7 +9,19 @@ from pathlib import Path
 
 import click
 
-from benchmarks import accuracy, effects, integrals, plans, rendering, roofline, scaling, speed, startup, tolerance
+from benchmarks import (
+    accuracy,
+    effects,
+    integrals,
+    plans,
+    rendering,
+    roofline,
+    scaling,
+    seen,
+    speed,
+    startup,
+    tolerance,
+)
 from benchmarks.record import ROOT, Section, as_markdown, as_record, machine
 
 CONCERNS = (
@@ -22,6 +34,7 @@ CONCERNS = (
     "tolerance",
     "effects",
     "plans",
+    "seen",
     "accuracy",
 )
 
@@ -36,7 +49,9 @@ CONCERNS = (
     help="Folder of real texture sets; the shipped sets stand in where it is missing.",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("bench"), show_default=True)
-@click.option("--only", type=click.Choice(CONCERNS), multiple=True, help="Some of them.")
+@click.option(
+    "--only", type=click.Choice(CONCERNS), multiple=True, help="Some of them (seen takes hours, and runs only so)."
+)
 @click.option("--set", "sets", multiple=True, help="Accuracy of these sets alone.")
 def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets: tuple[str, ...]) -> None:
     """Measure speed, memory, start-up and accuracy; bench.json and bench.md in the output folder."""
@@ -64,11 +79,12 @@ def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets
         "effects": lambda: effects.measure_effects(materials, quick),
         "plans": lambda: plans.measure_plans(materials, quick),
         "integrals": lambda: integrals.measure_integrals(quick),
+        "seen": lambda: seen.measure_seen(materials, quick),
         "accuracy": lambda: accuracy.measure_accuracy(materials, quick, save, sets),
     }
     output.mkdir(parents=True, exist_ok=True)
     sections: list[Section] = []
-    for name in only or CONCERNS:
+    for name in only or [name for name in CONCERNS if name != "seen"]:
         start = time.perf_counter()
         section = runs[name]()
         section.seconds = round(time.perf_counter() - start, 1)

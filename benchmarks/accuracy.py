@@ -58,7 +58,9 @@ def compare_set(name: str, svbrdf: Svbrdf, texels: int, qualities: tuple[str, ..
     """One row a level."""
     base = base_of(svbrdf)
     sizes = level_sizes(svbrdf.size, levels)
-    closed = {each: get_method(each).bake_lobes(svbrdf, FitOptions(levels=levels)) for each in CLOSED_FORMS}
+    closed = {
+        each: get_method(each).bake_lobes(svbrdf, FitOptions(lights="point", levels=levels)) for each in CLOSED_FORMS
+    }
     rows = []
     for mip_level, size in enumerate(sizes):
         at = random_texels(size, texels, seed=1000 + mip_level)
@@ -68,8 +70,8 @@ def compare_set(name: str, svbrdf: Svbrdf, texels: int, qualities: tuple[str, ..
             version = pyramid[mip_level].svbrdf
             lobes[each] = Lobes(lobe_parameters(version, *at), version.specular[at[1], at[0]].astype(np.float64))
         for quality in qualities:
-            lobes[quality] = sample.fit(FitOptions(quality=quality))[0]
-        lobes["held"] = sample.fit(FitOptions(specular="held"))[0]
+            lobes[quality] = sample.fit(FitOptions(lights="point", quality=quality))[0]
+        lobes["held"] = sample.fit(FitOptions(lights="point", specular="held"))[0]
         lobes["oracle"] = sample.best([lobes[quality] for quality in qualities])
         error = sample.measure(list(lobes.values())).error
         figures = {name: min(snr(error[k]), 99.0) for k, name in enumerate(lobes)}

@@ -127,7 +127,7 @@ def _crop(svbrdf: Svbrdf, side: int) -> Svbrdf:
 
 
 def _bake(base: Svbrdf, levels: int = _LEVELS, **options: Any) -> Callable[[], object]:
-    asked = FitOptions(levels=levels, threads=1, **options)
+    asked = FitOptions(lights="point", levels=levels, threads=1, **options)
     return lambda: NonlinearFit().bake_lobes(base, asked)
 
 

@@ -45,7 +45,7 @@ def measure_integrals(quick: bool) -> Section:
         "with its standard error), and the half-angle integral of the same footprint samples.",
     )
     svbrdf = load_procedural("hammered-metal", 256)
-    level = get_method("lean").bake_lobes(svbrdf, FitOptions(levels=3))[2].svbrdf
+    level = get_method("lean").bake_lobes(svbrdf, FitOptions(lights="point", levels=3))[2].svbrdf
     columns, rows = random_texels(level.size, 3 if quick else 8, seed=4)
     pairs = 400_000 if quick else 2_000_000
     for column, row in zip(columns, rows, strict=True):
@@ -91,7 +91,7 @@ def _by_integral(base: Base, strata: Strata, column: int, row: int, theta: NDArr
                      kernels.values, kernels.log_normalisation, kernels.source_log_normalisation)  # fmt: skip
         seconds.append(time.perf_counter() - start)
     lobes, nodes = np.zeros((strata.samples + 1, LOBE_COLUMNS)), np.zeros((NODE_ROWS, _NODES), np.float32)
-    norm = target_table(base, strata, points, column, row, 3, lobes, nodes, np.zeros(64), kernels.tabulate,
+    norm = target_table(base, strata, points, column, row, 3, 0.0, lobes, nodes, np.zeros(64), kernels.tabulate,
                         kernels.source_log_normalisation)[3]  # fmt: skip
     return Estimate(float(error[0, 0] * norm), 0.0, sorted(seconds[1:])[1])
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from brdffit._jit import numba_type
 from brdffit.errors import InputError
 from brdffit.fitting.batch import model_kernels
-from brdffit.fitting.bfgs import WORK, minimise
+from brdffit.fitting.bfgs import make_space, minimise
 from brdffit.fitting.method import search_settings
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import get_quality
@@ -105,11 +105,11 @@ def landscape(svbrdf: Svbrdf, level: int, texel: tuple[int, int], *, model: str 
 def _path(problem: Problem, start: NDArray) -> NDArray:
     """Parameters (k, 6) after each step of the fit's search, the start first."""
     search, kernels = problem.search, problem.kernels
-    theta, work = start.copy(), np.zeros(WORK)
+    theta, space = start.copy(), make_space()
 
     def arguments(most: int) -> tuple:
-        return (theta, value, search.free, problem.nodes, problem.setting, kernels.moments,
-                kernels.log_normalisation, search.tolerance, search.floor, most, work)  # fmt: skip
+        return (theta, value, search.free, problem.table, problem.setting, kernels.moments,
+                kernels.log_normalisation, search.tolerance, search.floor, most, space)  # fmt: skip
 
     value = float(problem.value(start))
     minimise.compile(tuple(map(numba_type, arguments(1))))
@@ -117,7 +117,7 @@ def _path(problem: Problem, start: NDArray) -> NDArray:
     for most in range(1, search.iterations + 1):
         theta[:] = start
         value = float(problem.value(start))
-        work[0:6] = problem.gradient
+        space.gradient[:] = problem.gradient
         minimise(*arguments(most))
         end = problem.clamped(theta)
         if np.array_equal(end, steps[-1]):

@@ -210,7 +210,7 @@ def bake_options(method: Method, preset: str | None, given: Mapping[str, Any]) -
         return asked
     chosen = get_preset(preset)
     said = {name.rpartition(".")[2] for name in given}
-    usual = {"specular": chosen.specular, "lobe": chosen.lobe}
+    usual = {"lobe": chosen.lobe, **({"specular": "held"} if chosen.specular == "held" else {})}
     return with_options(asked, {name: value for name, value in usual.items() if name not in said})
 
 

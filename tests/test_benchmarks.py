@@ -41,7 +41,7 @@ def row(name="ice-002", level=1, **figures):
 
 def test_chance_and_integral_agree(hammered):
     """The 4-D Monte Carlo integral over l and v is the 2-D one over h, for each of a few texels."""
-    level = get_method("lean").bake_lobes(hammered, FitOptions(levels=3))[2].svbrdf
+    level = get_method("lean").bake_lobes(hammered, FitOptions(lights="point", levels=3))[2].svbrdf
     for column, texel_row in ((0, 0), (3, 5)):
         chance, integral = integrals.compare(hammered, level, column, texel_row, pairs=60_000)
         assert abs(chance.value - integral.value) < integrals.AGREEMENT * chance.error
@@ -50,7 +50,7 @@ def test_chance_and_integral_agree(hammered):
 
 def test_a_sample_is_fitted_as_in_a_whole_bake(hammered):
     columns, rows = np.array([0, 5, 7, 3]), np.array([6, 0, 7, 2])
-    options = FitOptions(levels=3)
+    options = FitOptions(lights="point", levels=3)
     whole = get_method("bfgs").bake_lobes(hammered, options)[2].svbrdf
     (theta, scale), _ = LevelSample(hammered, 2, columns, rows, options).fit()
     assert np.array_equal(scale, whole.specular[rows, columns])
@@ -87,7 +87,10 @@ def test_the_worst_case_is_named():
 def test_a_tiled_set_is_more_of_the_same(hammered, tmp_path):
     """In memory and on disk: its levels are the levels, tiled."""
     naive = get_method("naive")
-    one, four = (naive.bake_lobes(svbrdf, FitOptions(levels=3))[2].svbrdf for svbrdf in (hammered, tiled(hammered, 2)))
+    one, four = (
+        naive.bake_lobes(svbrdf, FitOptions(lights="point", levels=3))[2].svbrdf
+        for svbrdf in (hammered, tiled(hammered, 2))
+    )
     for name, array in one.arrays().items():
         expected = np.tile(array, (2, 2) + (1,) * (array.ndim - 2))
         assert getattr(four, name) == pytest.approx(expected, abs=1e-6)
@@ -129,7 +132,7 @@ def test_a_cut_kernel_has_no_line_of_what_was_cut():
 def test_kernels_with_a_switch_off_do_what_kernels_without_its_lines_do(hammered):
     ggx = get_model("ggx")
     for options, switch in (({"horizon": False}, "HORIZON"), ({"lobe": "isotropic"}, "STRETCHES")):
-        asked = FitOptions(levels=1, **options)
+        asked = FitOptions(lights="point", levels=1, **options)
         cut = effects._kernels_without(**{switch: False})
         assert not {each.py_func for each in cut[:3]} & {each.py_func for each in kernels_of(asked, ggx, ggx)[:3]}
         off = NonlinearFit().bake_lobes(hammered, asked)[0].svbrdf

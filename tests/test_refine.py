@@ -25,7 +25,7 @@ from brdffit.render.reference import render_halves
 from brdffit.svbrdf import Svbrdf
 
 SIZE = (32, 32)
-OPTIONS = FitOptions(levels=3, quality="draft", threads=1)
+OPTIONS = FitOptions(lights="point", levels=3, quality="draft", threads=1)
 
 #: Central differences of a sum over some hundred points, each in float32.
 GRADIENT = 2e-3
@@ -180,7 +180,7 @@ def test_threads_change_nothing(base, refined):
 
 
 def test_it_is_off_unless_asked_for_and_says_what_it_did(pyramid, refined):
-    assert not FitOptions().refine
+    assert not FitOptions(lights="point").refine
     assert not [note for note in pyramid.notes if "interpolates" in note]
     assert [note for note in refined.notes if "interpolates" in note]
     assert not np.array_equal(pyramid[1].svbrdf.normal, refined[1].svbrdf.normal)

@@ -26,7 +26,7 @@ RULE_TRUSTED = 0.05
 def search(**options):
     """The settings of a standard fit of a GGX base."""
     ggx = get_model("ggx")
-    return search_settings(FitOptions(**options), get_quality("standard"), base_of(bumpy()), ggx, ggx)
+    return search_settings(FitOptions(lights="point", **options), get_quality("standard"), base_of(bumpy()), ggx, ggx)
 
 
 def bumpy(spread=0.15, roughness=0.3, seed=3):

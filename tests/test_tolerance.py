@@ -41,8 +41,8 @@ def waves(amplitude, side=128, seed=0):
 def test_a_level_stays_within_its_tolerance_and_closed_forms_serve(tolerance):
     base = waves(0.25)
     sample = LevelSample(base, 1, *random_texels((64, 64), 400, seed=3))
-    best, _ = sample.fit(FitOptions(quality="fine"))
-    found, output = sample.fit(FitOptions(tolerance=tolerance))
+    best, _ = sample.fit(FitOptions(lights="point", quality="fine"))
+    found, output = sample.fit(FitOptions(lights="point", tolerance=tolerance))
     error = sample.measure([best, found], nodes=1024, samples=(16, 32)).error
     assert snr(error[0]) - snr(error[1]) <= tolerance + SAMPLED
     assert 0.05 < (output.status == CLOSED_FORM).mean() < 0.95
@@ -98,7 +98,7 @@ def test_the_closed_form_is_as_near_to_the_best_lobe_as_it_promises(spread, alph
     promised, lobe, own = closed(base, response(held=held), held=held)
     if promised > 1e-2:
         return
-    options = FitOptions(specular="held" if held else "free", quality="fine")
+    options = FitOptions(lights="point", specular="held" if held else "free", quality="fine")
     sample = LevelSample(base, 1, np.zeros(1, np.int64), np.zeros(1, np.int64), options)
     error = sample.measure([lobe, sample.fit()[0]], nodes=2048, samples=(8, 16)).error[:, 0]
     # The dense rule and the fit differ by so much themselves.
@@ -152,7 +152,7 @@ def test_what_the_closed_form_cannot_serve_is_left_to_the_search():
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, float("nan")])
 def test_a_tolerance_is_above_zero(tolerance):
     with pytest.raises(InputError, match=r"^The tolerance is .* dB; it must be above 0\.$"):
-        quality_of(FitOptions(tolerance=tolerance))
+        quality_of(FitOptions(lights="point", tolerance=tolerance))
 
 
 def test_l2_is_best_in_l2_and_the_others_lie_lower_in_the_tail():

@@ -94,6 +94,13 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "l1": {"loss": "l1"},
     "relative": {"loss": "relative"},
     "refined": {"refine": True},
+    "l2": {"loss": "l2"},
+    "seen": {"loss": "seen"},
+    "bounded": {"specular": "bounded"},
+    "point": {"lights": "point"},
+    "mixed": {"lights": "mixed"},
+    "lamps": {"lights": "lamp"},
+    "energy": {"specular": "free", "energy": 1.0},
 }
 
 

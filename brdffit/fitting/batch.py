@@ -10,13 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit._jit import kernel, numba_type, specialise, types
-from brdffit.fitting.bfgs import WORK
+from brdffit.fitting.bfgs import make_space
 from brdffit.fitting.scoring import EVALUATIONS, FILTERED, REPORT, RESIDUAL
+from brdffit.fitting.search import Scratch, Search
+from brdffit.fitting.shortcuts import WORK
 from brdffit.fitting.status import FALLBACK
-from brdffit.fitting.texel import GUARDS, Rule, Scratch, Search, fit_texel
+from brdffit.fitting.texel import GUARDS, fit_texel
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata, example_base, example_strata
 from brdffit.halfangle.closed_forms import MOMENTS, STARTS
+from brdffit.halfangle.lights import POINT, Table, table_of
+from brdffit.halfangle.merging import make_cells
+from brdffit.halfangle.objective import FREE
 from brdffit.halfangle.quadrature import lattice
 from brdffit.halfangle.response import NO_RESPONSE
 
@@ -38,11 +43,13 @@ class Output(NamedTuple):
 
 
 class LevelRules(NamedTuple):
-    """How a level is sampled: strata of its footprints, room for lobes, and point sets from few nodes to many."""
+    """How a level is sampled: strata of its footprints, room for lobes, sizes of light (see ``lights.Table``), and of
+    each rule, from few nodes to many, a point set a size."""
 
     strata: Strata
     room: int
-    points: tuple[NDArray, ...]
+    lights: NDArray
+    points: tuple[tuple[NDArray, ...], ...]
 
 
 @kernel
@@ -198,20 +205,26 @@ def fitting_kernel(float_width: int) -> Any:
 
 def _example(float_width: int) -> tuple[Any, ...]:
     """Arguments of ``fit_rows`` up to the functions, for their types alone."""
-    base, level = example_base(), LevelRules(example_strata(), 1, (lattice(1),) * TIERS)
-    search = Search(0, False, 3, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, True, 0.0, 0.0, 0, 0.0, 0.0, 0, 0, NO_RESPONSE)
+    base, level = example_base(), LevelRules(example_strata(), 1, POINT, ((lattice(2),),) * TIERS)
+    search = Search(
+        free=0, scale=FREE, scale_low=0.0, scale_high=0.0, energy=0.0, exponent=3, step=0.0, tolerance=0.0,
+        iterations=0, log_low=0.0, log_high=0.0, shape_low=0.0, shape_high=0.0, same_model=True, trusted=0.0,
+        negligible=0.0, crowd=0, floor=0.0, allowed=0.0, loss=0, usual=0, cell=0.0, response=NO_RESPONSE,
+    )  # fmt: skip
     indices = np.zeros(1, np.int64)
     return base, level.strata, indices, indices, search, *make_workplace(level, float_width), make_output(1)
 
 
-def make_workplace(level: LevelRules, float_width: int = 32) -> tuple[Scratch, tuple[Rule, ...]]:
+def make_workplace(level: LevelRules, float_width: int = 32) -> tuple[Scratch, tuple[Table, ...]]:
     """The arrays of one worker."""
-    real = np.float32 if float_width == 32 else np.float64
-    parameters = objective.PARAMETERS
+    parameters, room = objective.PARAMETERS, level.room + 1 + GUARDS
     scratch = Scratch(
-        lobes=np.zeros((level.room + 1 + GUARDS, quadrature.LOBE_COLUMNS)),
+        lobes=np.zeros((len(level.lights), room, quadrature.LOBE_COLUMNS)),
+        counts=np.zeros(len(level.lights), np.int64),
+        cells=make_cells(room),
+        space=make_space(),
         work=np.zeros(WORK),
-        setting=np.zeros(6),
+        setting=np.zeros(objective.SETTINGS),
         theta=np.zeros(parameters),
         best=np.zeros(parameters),
         start=np.zeros(parameters),
@@ -221,11 +234,8 @@ def make_workplace(level: LevelRules, float_width: int = 32) -> tuple[Scratch, t
         moments=np.zeros(MOMENTS),
         report=np.zeros(REPORT),
     )
-    rules = tuple(
-        Rule(points, np.zeros((quadrature.NODE_ROWS, points.shape[1]), real), np.zeros(points.shape[1], real))
-        for points in level.points
-    )
-    return scratch, rules
+    floats = np.float32 if float_width == 32 else np.float64
+    return scratch, tuple(table_of(list(points), level.lights, floats) for points in level.points)
 
 
 def make_output(texels: int) -> Output:

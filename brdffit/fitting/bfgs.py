@@ -14,11 +14,16 @@ change alone, a held normal has no shifts.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from brdffit._jit import inline, kernel
 from brdffit.fitting.status import CONVERGED, FALLBACK, ITERATION_LIMIT, PRECISION_LIMIT
 from brdffit.halfangle.frame import tensor_of_log
-from brdffit.halfangle.objective import PARAMETERS, evaluate
+from brdffit.halfangle.lights import EVALUATION, evaluate_table
+from brdffit.halfangle.objective import PARAMETERS
 
 _SHIFT, _SIZE, _STRETCH, _SHAPE = 0.65, 1.8, 1.6, 1.0
 _LONGEST_STEP = 2.0
@@ -30,10 +35,26 @@ _NOISE = 5e-7
 # What is fitted besides the scale: bits of a mask.
 FREE_NORMAL, FREE_ANISOTROPY, FREE_SHAPE = 1, 2, 4
 
-WORK = 200
-# Where in ``work`` a search keeps its own: the step, the change of the gradient over it, the product of that with the
-# inverse Hessian, and the inverse Hessian.
-_STEP, _CHANGE, _IMAGE, _INVERSE = 18, 24, 30, 36
+
+class Space(NamedTuple):
+    """Arrays of one search: the gradient where it stands; a trial with its gradient; the step, the change of the
+    gradient over it and the product of that with the inverse Hessian; the inverse Hessian; scratch of an evaluation."""
+
+    gradient: NDArray
+    trial: NDArray
+    trial_gradient: NDArray
+    step: NDArray
+    change: NDArray
+    image: NDArray
+    inverse: NDArray
+    evaluation: NDArray
+
+
+def make_space() -> Space:
+    """The arrays of a search."""
+    gradient, trial, trial_gradient, step, change, image = np.zeros((6, PARAMETERS))
+    inverse = np.zeros((PARAMETERS, PARAMETERS))
+    return Space(gradient, trial, trial_gradient, step, change, image, inverse, np.zeros(EVALUATION))
 
 
 def directions_of(free: int) -> int:
@@ -64,18 +85,18 @@ def first_inverse(theta, free, inverse):
 
 
 @kernel
-def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisation, tolerance, floor, most, work):
+def minimise(theta, value, free, table, setting, moments_kernel, log_normalisation, tolerance, floor, most, space):
     """Lower the objective from ``theta`` (6,), in place.
 
-    ``work[0:6]`` must hold the gradient at theta and ``value`` the objective there (relative squared error - 1).
+    ``space.gradient`` must hold the gradient at theta and ``value`` the objective there (relative squared error - 1).
     Stops when the decrease that the model still predicts is below ``tolerance`` times the error itself, or below
     ``floor`` (in units of the objective).
     Returns (value, evaluations, status); theta is never worse than it was.
     """
-    gradient, trial_gradient, trial, scratch = work[0:6], work[6:12], work[12:18], work[120:168]
-    step, change, image = work[_STEP : _STEP + 6], work[_CHANGE : _CHANGE + 6], work[_IMAGE : _IMAGE + 6]
+    gradient, trial_gradient, trial = space.gradient, space.trial_gradient, space.trial
+    step, change, image = space.step, space.change, space.image
     # Parameters that are not fitted have zeros everywhere: loops of a known length are no loops to the compiler.
-    inverse = work[_INVERSE : _INVERSE + PARAMETERS * PARAMETERS].reshape(PARAMETERS, PARAMETERS)
+    inverse = space.inverse
     xx, yy, xy = first_inverse(theta, free, inverse)
     evaluations = 0
     for _ in range(most):
@@ -99,7 +120,9 @@ def minimise(theta, value, free, nodes, setting, moments_kernel, log_normalisati
         for _ in range(_BACKTRACKS):
             for p in range(PARAMETERS):
                 trial[p] = theta[p] + t * step[p]
-            trial_value = evaluate(trial, nodes, setting, moments_kernel, log_normalisation, trial_gradient, scratch)
+            trial_value = evaluate_table(
+                trial, table, setting, moments_kernel, log_normalisation, trial_gradient, space.evaluation
+            )
             evaluations += 1
             if trial_value <= value + _ARMIJO * t * slope:
                 accepted = True

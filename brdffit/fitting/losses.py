@@ -6,6 +6,8 @@
 - L1: sqrt(|T - F|^2 + knee^2), a smoothed absolute error (Manson and Sloan 2016 fit GGX's tail by an absolute error,
   which L2 sacrifices to the peak), by iteratively reweighted least squares: with weights 1 / sqrt(|r|^2 + knee^2) of
   the residual r before, each fit lowers the loss, since the square is a tangent from above to the square root.
+- SEEN: |T - F|^2 / (T + mean T + 4 d / pi), the squared error relative to what is seen there: the lobe, its mean over
+  all half angles, and the diffuse albedo d as a lobe's value (d / pi over the 1 / (4 (n.l) (n.v)) of a lobe).
 
 The knee is a share of the target's highest value on the nodes: what lies below it counts absolutely.
 An energy constraint needs no loss of its own: lobes are normalised, so holding the scale at the filtered colour keeps
@@ -14,6 +16,8 @@ the mean of the lobe exactly, at the least L2 error that leaves (``--specular he
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from brdffit._jit import kernel
@@ -21,9 +25,9 @@ from brdffit.halfangle.quadrature import BLUE, GREEN, MEASURE, RED, WEIGHT
 
 real = np.float32
 
-L2, RELATIVE, L1 = range(3)
+L2, RELATIVE, L1, SEEN = range(4)
 #: Codes of the names in brdffit.methods.LOSSES.
-LOSS_CODES = {"l2": L2, "relative": RELATIVE, "l1": L1}
+LOSS_CODES = {"l2": L2, "relative": RELATIVE, "l1": L1, "seen": SEEN}
 
 #: Fits of L1 beyond the first.
 ROUNDS = 4
@@ -50,6 +54,27 @@ def weigh_relatively(nodes):
     for j in range(nodes.shape[1]):
         square = red[j] * red[j] + green[j] * green[j] + blue[j] * blue[j]
         weight[j] = measure[j] * knee / (square + knee)
+
+
+@kernel
+def weigh_as_seen(nodes, moment):
+    """WEIGHT <- MEASURE over what is seen, T + mean T + 4 d / pi, in units of the last two; T and d are channel sums.
+
+    ``moment`` (9,): sums of diffuse colour times normal, (channel, axis).
+    """
+    red, green, blue, weight, measure = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT], nodes[MEASURE]
+    whole, mean = real(0.0), real(0.0)
+    for j in range(nodes.shape[1]):
+        whole += measure[j]
+        mean += measure[j] * (red[j] + green[j] + blue[j])
+    diffuse = 0.0
+    for channel in range(3):
+        diffuse += math.sqrt(moment[3 * channel] ** 2 + moment[3 * channel + 1] ** 2 + moment[3 * channel + 2] ** 2)
+    knee = mean / max(whole, real(1e-30)) + real(4.0 / math.pi * diffuse)
+    if not knee > real(0.0):
+        return
+    for j in range(nodes.shape[1]):
+        weight[j] = measure[j] * knee / (red[j] + green[j] + blue[j] + knee)
 
 
 @kernel

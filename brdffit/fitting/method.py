@@ -25,15 +25,17 @@ from brdffit.fitting.batch import (
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
 from brdffit.fitting.effects import Seen, complete, kernels_of, reached, seen_by
 from brdffit.fitting.losses import LOSS_CODES
-from brdffit.fitting.options import LOSSES, FitOptions
+from brdffit.fitting.options import LOSSES, SPECULARS, FitOptions
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.refine import refine_pyramid
-from brdffit.fitting.status import FALLBACK, KEPT, NOT_REACHED
-from brdffit.fitting.texel import Search
+from brdffit.fitting.search import Search
+from brdffit.fitting.status import FALLBACK, KEPT, NOT_REACHED, POOR
 from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter, iter_pyramid
 from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, strata
 from brdffit.halfangle.density import DENSITY_EXPONENTS
+from brdffit.halfangle.lights import BASE_BLUR, POINT, sizes_of
 from brdffit.halfangle.measure import PERFECT_DB, random_texels
+from brdffit.halfangle.objective import BOUNDED, FREE, HOLDS
 from brdffit.halfangle.quadrature import lattice
 from brdffit.halfangle.response import NO_RESPONSE, response_of
 from brdffit.methods import Level, LobeMethod, Material, Progress, Pyramid, one_of
@@ -48,6 +50,10 @@ _WIDE, _WIDE_NODES = 4, 2
 # Texels that tell a level's mean error, and texels of a level worth it.
 _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
 _LAXEST = 1e-2
+# Share of a rule's nodes that each size of light gets, the smallest first, and the fewest.
+_NODE_SHARES, _FEWEST_NODES = (0.5, 0.25, 0.2, 0.2, 0.2, 0.2), 24
+# How far a bounded scale may lie from the filtered colour.
+_BOUNDS = (0.91, 1.1)
 
 
 class NonlinearFit(LobeMethod):
@@ -82,6 +88,7 @@ class NonlinearFit(LobeMethod):
         base = base_of(svbrdf, source.default_shape)
         seen = seen_by(base, options)
         search = search_settings(options, quality, base, source, target)
+        lights = sizes_of(options.lights, source.blur, target.blur)
         sizes = level_sizes(svbrdf.size, options.levels)
         fitted = reached(options.reach, len(sizes))
         kept = 1 if options.keep_level_0 else 0
@@ -93,7 +100,9 @@ class NonlinearFit(LobeMethod):
         level_samplings = []
         for mip_level, size in enumerate(sizes):
             start = time.perf_counter()
-            rules = level_rules(pixel_filter, svbrdf.size, size, mip_level, quality, point=mip_level < kept)
+            rules = level_rules(
+                pixel_filter, svbrdf.size, size, mip_level, quality, point=mip_level < kept, lights=lights
+            )
             level_samplings.append(rules)
             if mip_level < authored:
                 level = Level(svbrdf.replace(height=None), status=np.full(size, KEPT, np.uint8))
@@ -111,12 +120,21 @@ class NonlinearFit(LobeMethod):
             read = Pyramid(self.name, options, pyramid.levels[: fitted[-1] + 1])
             refine_pyramid(read, base, level_samplings, search, kernels, first=max(kept, fitted[0]))
             pyramid.notes += read.notes
+            if options.lights != "point":
+                pyramid.notes.append(
+                    "Levels were refined in l2 under point lights, whatever lights they were fitted for."
+                )
         if len(searched) < len(sizes) - authored:
             levels = f"level {fitted[0]}" if len(fitted) == 1 else f"levels {fitted[0]} to {fitted[-1]}"
             pyramid.notes.append(f"Pixels read {levels} alone; the others are averaged, not fitted.")
         failed = sum(int((level.status == FALLBACK).sum()) for level in pyramid.levels if level.status is not None)
         if failed:
             pyramid.notes.append(f"The search failed for {failed} texels; they hold their closed-form start.")
+        poor = sum(int((level.status == POOR).sum()) for level in pyramid.levels if level.status is not None)
+        if poor:
+            pyramid.notes.append(
+                f"No single lobe stands for {poor} texels: more than half of what they reflect is missed."
+            )
         return pyramid
 
 
@@ -133,20 +151,29 @@ def _averages(
 
 def level_rules(
     pixel_filter: PixelFilter, base_size: tuple[int, int], size: tuple[int, int], mip_level: int, quality: Quality,
-    point: bool = False,
+    point: bool = False, lights: NDArray = POINT,
 ) -> LevelRules:  # fmt: skip
-    """How a level is sampled. ``point`` takes the base texel itself, unfiltered."""
+    """How a level is sampled. ``point`` takes the base texel itself, unfiltered; ``lights`` as in ``lights.Table``."""
     scale = max(base_size[0] / size[0], base_size[1] / size[1])
-    points = tuple(lattice(nodes * (_WIDE_NODES if scale >= _WIDE else 1)) for nodes in quality.nodes)
+    points = tuple(_points(nodes * (_WIDE_NODES if scale >= _WIDE else 1), lights) for nodes in quality.nodes)
     if point:
         one = np.ones(1)
-        return LevelRules(Strata(0.0 * one, 0.0 * one, one, one, 0.0, 0.0, 1.0, 1.0, 0), 1, points)
+        return LevelRules(Strata(0.0 * one, 0.0 * one, one, one, 0.0, 0.0, 1.0, 1.0, 0), 1, lights, points)
     pixels = max(1.0, 2.0 * pixel_filter.radius)
     # An even number a texel: strata then end at texel centres, where the bilinear patches do.
     per_texel = 2 * max(1, math.ceil(0.5 * quality.least / scale))
-    most = math.ceil(quality.most * pixels)
+    # Under lights with a size a footprint of many texels holds no needles that few samples miss.
+    most = math.ceil(quality.most * pixels * (0.5 if lights[0, BASE_BLUR] > 0.0 else 1.0))
     chosen = strata(pixel_filter, base_size, size, per_texel, most, mip_level, quality.merge)
-    return LevelRules(chosen, max(quality.room, 2 * chosen.samples), points)
+    chosen = chosen._replace(light=float(lights[0, BASE_BLUR]))
+    return LevelRules(chosen, max(quality.room, 2 * chosen.samples), lights, points)
+
+
+def _points(nodes: int, lights: NDArray) -> tuple[NDArray, ...]:
+    """A point set a size: all of a rule's nodes for one size alone, else shares of them (wide lights need few)."""
+    if len(lights) == 1:
+        return (lattice(nodes),)
+    return tuple(lattice(max(_FEWEST_NODES, 2 * round(0.5 * nodes * _NODE_SHARES[s]))) for s in range(len(lights)))
 
 
 def search_settings(options: FitOptions, quality: Quality, base: Base, source: Model, target: Model) -> Search:
@@ -158,10 +185,21 @@ def search_settings(options: FitOptions, quality: Quality, base: Base, source: M
     if target.shape_bounds:
         free |= FREE_SHAPE
     one_of("density", options.density, tuple(DENSITY_EXPONENTS))
+    point, specular = options.lights == "point", one_of("specular", options.specular, SPECULARS)
+    kind = {"free": FREE, "held": HOLDS, "bounded": BOUNDED, "auto": FREE if point else BOUNDED}[specular]
+    low_scale, high_scale = _BOUNDS if kind == BOUNDED else (0.0, 1e30)
+    if kind == FREE and options.energy > 0.0:
+        kind = BOUNDED
+    loss = one_of("loss", options.loss, LOSSES)
+    if loss == "auto":
+        loss = "l2" if point else "seen"
     sharpest = float(base.perceptual.min()) if base.isotropic else options.min_roughness
     return Search(
         free=free,
-        held=one_of("specular", options.specular, ("free", "held")) == "held",
+        scale=kind,
+        scale_low=low_scale,
+        scale_high=high_scale,
+        energy=options.energy,
         exponent=DENSITY_EXPONENTS[options.density],
         step=quality.step,
         tolerance=quality.tolerance,
@@ -176,8 +214,9 @@ def search_settings(options: FitOptions, quality: Quality, base: Base, source: M
         crowd=2,
         floor=0.0,
         allowed=0.0,
-        loss=LOSS_CODES[one_of("loss", options.loss, LOSSES)],
+        loss=LOSS_CODES[loss],
         usual=0 if options.tolerance is None else 1,
+        cell=0.0 if point else quality.merge,
         response=NO_RESPONSE,
     )
 
@@ -210,7 +249,7 @@ def tolerant(
         return search
     response = response_of(
         kernels.values, kernels.log_normalisation, search.exponent, turns=bool(search.free & FREE_NORMAL),
-        stretches=bool(search.free & FREE_ANISOTROPY), held=search.held,
+        stretches=bool(search.free & FREE_ANISOTROPY), held=search.scale == HOLDS,
     )  # fmt: skip
     return search._replace(allowed=3.0 * spare, response=response)
 

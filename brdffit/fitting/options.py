@@ -8,7 +8,9 @@ from typing import ClassVar
 from brdffit.options import LobeOptions, option
 
 QUALITIES = ("draft", "standard", "fine")
-LOSSES = ("l2", "relative", "l1")
+#: Under point lights "auto" is l2 and a free scale (the half-angle error of the papers); else seen and bounded.
+LOSSES = ("auto", "seen", "l2", "relative", "l1")
+SPECULARS = ("auto", "bounded", "free", "held")
 COLOURS = ("channels", "shared")
 
 
@@ -22,9 +24,18 @@ class FitOptions(LobeOptions):
     tolerance: float | None = option(
         None, "instead of a quality: dB that a level's SNR may stay below the best lobe's", above=0.0
     )
-    loss: str = option("l2", "l2 follows peaks, l1 tails too, relative weighs each half angle alike", names=LOSSES)
+    lights: str = option(
+        "mixed", "lights to look right under: point, sun, lamp, window, sky, mixed, or radii in degrees (2,10:0.5)"
+    )
+    loss: str = option(
+        "auto", "seen weighs by what is seen there, l2 follows peaks, l1 tails, relative weighs all alike", names=LOSSES
+    )
+    energy: float = option(0.0, "share of a light from everywhere, which sees a lobe's energy alone", least=0.0)
     refine: bool = option(False, "fit also what a renderer interpolates between texels and levels")
-    specular: str = option("free", "fit the scale of the lobe, or hold the filtered colour", names=("free", "held"))
+    specular: str = option(
+        "auto", "scale of the lobe: fitted freely, bounded to 10% about the filtered colour, or held there",
+        names=SPECULARS,
+    )  # fmt: skip
     normal: str = option("free", "fit the normal, or hold the mean", names=("free", "mean"))
     reach: tuple[int, int] | None = option(None, "first and last level that pixels read; the others are averaged")
     colour: str = option("channels", "fit red, green and blue together, or their luminance", names=COLOURS)

@@ -31,7 +31,7 @@ from scipy import optimize
 from brdffit.fitting.batch import LevelRules, ModelKernels
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL
 from brdffit.fitting.interpolation import PARAMETERS, chain, channels_of, eigen, interpolation_kernel
-from brdffit.fitting.texel import Search
+from brdffit.fitting.search import Search
 from brdffit.fitting.tiles import (
     Points,
     axis_points,
@@ -44,8 +44,8 @@ from brdffit.fitting.tiles import (
 from brdffit.halfangle.apparent_lobe import Base
 from brdffit.halfangle.closed_forms import STEEPEST_SLOPE
 from brdffit.halfangle.measure import snr
-from brdffit.halfangle.objective import WALL
-from brdffit.halfangle.quadrature import LOBE_COLUMNS, NODE_ROWS
+from brdffit.halfangle.objective import HOLDS, WALL
+from brdffit.halfangle.quadrature import LOBE_COLUMNS, NODE_ROWS, lattice
 from brdffit.methods import Pyramid
 from brdffit.svbrdf import Svbrdf
 
@@ -79,7 +79,7 @@ def refine_pyramid(
         follows = mip_level + 1 < len(pyramid)
         coarser = (rules[mip_level + 1], pyramid[mip_level + 1].svbrdf) if follows else ()
         points = sample_points(rules[mip_level], level.svbrdf.size, *coarser)
-        rule = rules[mip_level].points[0]
+        rule = lattice(sum(each.shape[1] for each in rules[mip_level].points[0]))
         refined = refine_level(level.svbrdf, base, points, rule, search, kernels, pyramid.options.threads)
         level.svbrdf = refined.svbrdf
         level.seconds += time.perf_counter() - start
@@ -265,7 +265,7 @@ def _columns(search: Search) -> NDArray:
     identity = np.eye(PARAMETERS)
     free = [identity[0:2]] if search.free & FREE_NORMAL else []
     free.append(identity[2:5] if search.free & FREE_ANISOTROPY else identity[2:3] + identity[3:4])
-    return np.concatenate(free if search.held else [*free, identity[5:8]])
+    return np.concatenate(free if search.scale == HOLDS else [*free, identity[5:8]])
 
 
 def _clamped(theta: NDArray, search: Search) -> NDArray:

@@ -16,10 +16,11 @@ from brdffit.fitting.effects import Seen, complete, kernels_of, seen_by
 from brdffit.fitting.method import level_rules, search_settings, tolerant
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import Quality, quality_of
-from brdffit.fitting.texel import Search
+from brdffit.fitting.search import Search
 from brdffit.footprint import filter_texels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
+from brdffit.halfangle.lights import sizes_of
 from brdffit.halfangle.measure import DENSE_NODES, DENSE_SAMPLES, Measured, measure_lobes
 from brdffit.models import Model, get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -100,7 +101,8 @@ class LevelSample:
         options = options or self.options
         chosen = quality or quality_of(options)
         pixel_filter = get_pixel_filter(options.pixel_filter)
-        rules = level_rules(pixel_filter, self.base_size, self.size, self.mip_level, chosen)
+        lights = sizes_of(options.lights, self.source.blur, self.target.blur)
+        rules = level_rules(pixel_filter, self.base_size, self.size, self.mip_level, chosen, lights=lights)
         search = search_settings(options, chosen, self.base, self.source, self.target)
         base, kernels = self.seen(options).base, kernels_of(options, self.source, self.target)
         return rules, tolerant(search, options, base, rules, self.size, self.mip_level, kernels)

@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
-from brdffit._jit import kernel
+from brdffit._jit import inline, kernel
 from brdffit.halfangle.density import half_angle_density
 from brdffit.halfangle.frame import lobe_frame
-from brdffit.halfangle.objective import HELD, SCALE, TARGET
+from brdffit.halfangle.lights import LOBE_BLUR, SHARE, segment, values_of, widened
+from brdffit.halfangle.objective import BOUNDED, ENERGY, HELD, HOLDS, SCALE, SCALE_HIGH, SCALE_LOW, TARGET
 from brdffit.halfangle.quadrature import BLUE, GREEN, H_X, H_Y, H_Z, MEASURE, RED, WEIGHT
 from brdffit.models.elementary import alternate, reciprocal
 
@@ -23,9 +24,9 @@ real = np.float32
 REPORT = FILTERED + 3
 
 
-@kernel
-def target_norm(nodes):
-    """<T,T> over all channels."""
+@inline
+def _norm_of(nodes):
+    """<T,T> over all channels, of the nodes of one size."""
     red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
     norm = real(0.0)
     for j in range(nodes.shape[1]):
@@ -34,8 +35,32 @@ def target_norm(nodes):
 
 
 @kernel
-def aim(nodes, colour, target_norm, setting):
-    """Set the scalar target for this colour: filtered colour if the scale is held, colour direction if it is free."""
+def target_norm(table):
+    """<T,T> over all channels and sizes."""
+    norm = 0.0
+    for s in range(table.lights.shape[0]):
+        norm += _norm_of(segment(table, s))
+    return norm
+
+
+@kernel
+def share_out(table):
+    """Scale the weights of each size so that its <T,T> is its share. One size alone is left as it is."""
+    if table.lights.shape[0] == 1:
+        return
+    for s in range(table.lights.shape[0]):
+        nodes = segment(table, s)
+        norm = _norm_of(nodes)
+        factor = real(table.lights[s, SHARE] / norm if norm > 0.0 else 0.0)
+        weight = nodes[WEIGHT]
+        for j in range(nodes.shape[1]):
+            weight[j] *= factor
+
+
+@kernel
+def aim(table, colour, target_norm, setting):
+    """Set the scalar target for this colour: filtered colour if the scale is held or bounded, its direction if it is
+    free."""
     squared = colour[0] * colour[0] + colour[1] * colour[1] + colour[2] * colour[2]
     if setting[HELD] > 0.0:
         r, g, b = colour[0] / squared, colour[1] / squared, colour[2] / squared
@@ -44,43 +69,71 @@ def aim(nodes, colour, target_norm, setting):
         scale = 1.0 / math.sqrt(squared)
         r, g, b = colour[0] * scale, colour[1] * scale, colour[2] * scale
         setting[SCALE] = 1.0 / target_norm
-    red, green, blue, weight, target = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT], nodes[TARGET]
     by_red, by_green, by_blue = real(r), real(g), real(b)
-    for j in range(nodes.shape[1]):
-        target[j] = (by_red * red[j] + by_green * green[j] + by_blue * blue[j]) * weight[j]
+    for s in range(table.lights.shape[0]):
+        nodes = segment(table, s)
+        red, green, blue, weight, target = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT], nodes[TARGET]
+        for j in range(nodes.shape[1]):
+            target[j] = (by_red * red[j] + by_green * green[j] + by_blue * blue[j]) * weight[j]
+
+
+@inline
+def _bounded(scale, filtered, sky, dd, setting):
+    """The best scale of a channel, <T,D> / <D,D> = ``scale``, with the sky's term and within the bounds."""
+    return min(
+        max((scale * dd + sky * filtered) / (dd + sky), setting[SCALE_LOW] * filtered), setting[SCALE_HIGH] * filtered
+    )
 
 
 @kernel
-def settle_scale(theta, nodes, setting, values_kernel, log_normalisation, values, exponent, work, report):
+def settle_scale(theta, table, setting, values_kernel, log_normalisation, exponent, work, report):
     """Best scale a channel (or the held one, already in ``report``), residual, and the disagreement of two half rules.
 
-    The residual is summed as it stands, (T - rho D)^2, so that nothing cancels.
+    The residual is summed as it stands, (T - rho D)^2, so that nothing cancels. ``work`` (24,) is scratch.
     """
-    values_kernel(theta, nodes, log_normalisation, values, work)
-    red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
+    wide, frame = work[0:6], work[6:22]
     dd, r, g, b = real(0.0), real(0.0), real(0.0), real(0.0)
-    for j in range(nodes.shape[1]):
-        wd = weight[j] * values[j]
-        dd += wd * values[j]
-        r += wd * red[j]
-        g += wd * green[j]
-        b += wd * blue[j]
-    if not setting[HELD] > 0.0:
+    coverage_found = 1.0
+    for s in range(table.lights.shape[0]):
+        nodes, values = segment(table, s), values_of(table, s)
+        widened(theta, table.lights[s, LOBE_BLUR], wide)
+        values_kernel(wide, nodes, log_normalisation, values, frame)
+        red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
+        for j in range(nodes.shape[1]):
+            wd = weight[j] * values[j]
+            dd += wd * values[j]
+            r += wd * red[j]
+            g += wd * green[j]
+            b += wd * blue[j]
+        # The values' kernel has left the lobe's frame in ``frame``.
+        seen = _coverage_of(frame, nodes, exponent)
+        if s == 0 or abs(seen - 1.0) > abs(coverage_found - 1.0):
+            coverage_found = seen
+    report[COVERAGE] = coverage_found
+    if setting[HELD] != HOLDS:
         ok = dd > 0.0
         report[RED_SCALE] = max(r / dd, 0.0) if ok else 0.0
         report[GREEN_SCALE] = max(g / dd, 0.0) if ok else 0.0
         report[BLUE_SCALE] = max(b / dd, 0.0) if ok else 0.0
+    if setting[HELD] == BOUNDED:
+        squared = 0.0
+        for k in range(3):
+            squared += report[FILTERED + k] ** 2
+        sky = setting[ENERGY] * report[TARGET_NORM] / max(squared, 1e-30)
+        for k in range(3):
+            report[RED_SCALE + k] = _bounded(report[RED_SCALE + k], report[FILTERED + k], sky, dd, setting)
     rho_r, rho_g, rho_b = real(report[RED_SCALE]), real(report[GREEN_SCALE]), real(report[BLUE_SCALE])
     total, alternating = real(0.0), real(0.0)
-    for j in range(nodes.shape[1]):
-        d_r, d_g, d_b = red[j] - rho_r * values[j], green[j] - rho_g * values[j], blue[j] - rho_b * values[j]
-        term = weight[j] * (d_r * d_r + d_g * d_g + d_b * d_b)
-        total += term
-        alternating += alternate(term, j)
+    for s in range(table.lights.shape[0]):
+        nodes, values = segment(table, s), values_of(table, s)
+        red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
+        for j in range(nodes.shape[1]):
+            d_r, d_g, d_b = red[j] - rho_r * values[j], green[j] - rho_g * values[j], blue[j] - rho_b * values[j]
+            term = weight[j] * (d_r * d_r + d_g * d_g + d_b * d_b)
+            total += term
+            alternating += alternate(term, j)
     report[RESIDUAL] = total / report[TARGET_NORM]
     report[DISAGREEMENT] = abs(alternating) / report[TARGET_NORM]
-    # The values' kernel has left the lobe's frame in ``work``.
-    report[COVERAGE] = _coverage_of(work, nodes, exponent)
 
 
 @kernel

@@ -11,7 +11,7 @@ import math
 
 from brdffit._jit import inline, kernel
 from brdffit.halfangle.closed_forms import STEEPEST_SLOPE
-from brdffit.halfangle.objective import PARAMETERS
+from brdffit.halfangle.objective import BOUNDED, HOLDS, PARAMETERS
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, NORMALISATION, SHAPE, SPECULAR, SPREAD, TENSOR
 from brdffit.halfangle.response import ANSWERS, BY_FIRST, OFF_PLANE, OFF_SCALE, ROW, SECOND, THIRD
 
@@ -71,12 +71,13 @@ def _own_scales(lobes, count, m1, m2, norm, row, report):
 
 
 @kernel
-def closed_form(lobes, count, grey, held, red, green, blue, response, allowed, theta, report, work):
+def closed_form(lobes, count, grey, kind, low, high, red, green, blue, response, allowed, theta, report, work):
     """The lobe that answers to the footprint's moments, if it is within ``allowed`` of the best; returns its excess.
 
     Lobes are isotropic and of one shape, not widened; SPECULAR columns sum to (red, green, blue). Where the estimate
     (relative squared error above the best lobe's) is below ``allowed``, ``theta`` (6,) is filled, and ``report``[0:4]
-    with its scale and its own error; elsewhere nothing is. ``work`` (WORK,) is scratch.
+    with its scale and its own error; elsewhere nothing is. ``kind``, ``low``, ``high``: of the scale, as in ``Search``.
+    ``work`` (WORK,) is scratch.
     """
     # Weights by which a scale a channel, and so the sum over channels, sees each lobe.
     norm = red * red + green * green + blue * blue
@@ -180,7 +181,9 @@ def closed_form(lobes, count, grey, held, red, green, blue, response, allowed, t
     theta[2], theta[3] = size + stretch * c2 - shear * s2, size - stretch * c2 + shear * s2
     theta[4] = stretch * s2 + shear * c2
     theta[PARAMETERS - 1] = lobes[0, SHAPE]
-    scale = 1.0 if held else gain + scale
+    scale = 1.0 if kind == HOLDS else gain + scale
+    if kind == BOUNDED and not low <= scale <= high:
+        return NOT_KNOWN
     report[0], report[1], report[2] = red * scale, green * scale, blue * scale
     if not grey:
         error += _own_scales(lobes, count, m1, m2, norm, row, report)

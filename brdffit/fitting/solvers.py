@@ -23,13 +23,14 @@ from scipy import optimize
 from brdffit._jit import numba_type, types
 from brdffit.fitting.batch import ModelKernels
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, directions_of, first_inverse
-from brdffit.fitting.scoring import REPORT, RESIDUAL, TARGET_NORM, aim, settle_scale
-from brdffit.fitting.texel import Search
+from brdffit.fitting.scoring import REPORT, RESIDUAL, TARGET_NORM, aim, settle_scale, share_out, target_norm
+from brdffit.fitting.search import Search
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
 from brdffit.halfangle.closed_forms import PEAK, STARTS, STEEPEST_SLOPE
+from brdffit.halfangle.lights import BASE_BLUR, EVALUATION, POINT, evaluate_table, table_of
 from brdffit.halfangle.measure import DENSE_ROOM, DENSE_SAMPLES, dense_strata, target_table
-from brdffit.halfangle.objective import HELD, PARAMETERS, evaluate
+from brdffit.halfangle.objective import FREE, HELD, LOG_LOW, PARAMETERS, SETTINGS, SHAPE_HIGH
 from brdffit.halfangle.quadrature import BLUE, GREEN, H_X, H_Y, H_Z, LOBE_COLUMNS, NODE_ROWS, RED, WEIGHT, lattice
 
 ORACLE_NODES = 4096
@@ -57,26 +58,33 @@ class Problem:
         strata, points: the rule.
         search: what is fitted, bounds and density, as the fit has them; the scale is always free.
         kernels: of the pair of models.
+        lights: sizes of light (S, 3), see ``brdffit.halfangle.lights.Table``; each has all points.
     """
 
-    def __init__(self, strata: Strata, points: NDArray, search: Search, kernels: ModelKernels) -> None:
+    def __init__(
+        self, strata: Strata, points: NDArray, search: Search, kernels: ModelKernels, lights: NDArray = POINT
+    ) -> None:
         self.search, self.kernels, self.strata, self.points = search, kernels, strata, points
-        size = points.shape[1]
+        self.table = table_of([points] * len(lights), lights)
+        self.sizes = [
+            self.table.nodes[NODE_ROWS * a : NODE_ROWS * b].reshape(NODE_ROWS, b - a)
+            for a, b in zip(self.table.first[:-1], self.table.first[1:], strict=True)
+        ]
+        self.nodes, self.values = self.sizes[0], self.table.values[: points.shape[1]]
         self.lobes = np.zeros((DENSE_ROOM * strata.samples + 1, LOBE_COLUMNS))
-        self.nodes = np.zeros((NODE_ROWS, size), np.float32)
-        self.values = np.zeros(size, np.float32)
-        self.work, self.scratch, self.report = np.zeros(64), np.zeros(48), np.zeros(REPORT)
+        self.work, self.scratch, self.report = np.zeros(64), np.zeros(EVALUATION), np.zeros(REPORT)
         self.gradient, self.inverse = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
-        self.setting = np.array([0.0, 0.0, search.log_low, search.log_high, search.shape_low, search.shape_high])
+        self.setting = np.zeros(SETTINGS)
+        self.setting[LOG_LOW : SHAPE_HIGH + 1] = search.log_low, search.log_high, search.shape_low, search.shape_high
         self.evaluations = 0
         # Typed by the functions themselves: unboxing a value of function type costs 150 microseconds a call.
         self._evaluate = compiled(
-            evaluate, (self.gradient, self.nodes, self.setting, kernels.moments, kernels.log_normalisation,
-                       self.gradient, self.scratch),
+            evaluate_table, (self.gradient, self.table, self.setting, kernels.moments, kernels.log_normalisation,
+                             self.gradient, self.scratch),
         )  # fmt: skip
         self._settle = compiled(
-            settle_scale, (self.gradient, self.nodes, self.setting, kernels.values, kernels.log_normalisation,
-                           self.values, search.exponent, self.work, self.report),
+            settle_scale, (self.gradient, self.table, self.setting, kernels.values, kernels.log_normalisation,
+                           search.exponent, self.work, self.report),
         )  # fmt: skip
         self._base: Base | None = None
         self._tabulate: Callable | None = None
@@ -84,16 +92,28 @@ class Problem:
     def set_footprint(self, base: Base, column: int, row: int) -> NDArray:
         """Tabulate the target of one texel; returns its closed-form starts (STARTS, 6)."""
         if self._tabulate is None or base is not self._base:
-            data = (base, self.strata, self.points, 0, 0, self.search.exponent, self.lobes, self.nodes, self.work)
+            data = (base, self.strata, self.points, 0, 0, self.search.exponent, 0.0, self.lobes, self.nodes, self.work)
             functions = (quadrature.tabulate_type(types.float32), objective.log_normalisation_type)
             self._tabulate, self._base = compiled(target_table, data, functions), base
-        red, green, blue, norm = self._tabulate(
-            base, self.strata, self.points, int(column), int(row), self.search.exponent, self.lobes, self.nodes,
-            self.work, self.kernels.tabulate, self.kernels.source_log_normalisation,
-        )  # fmt: skip
-        self.report[TARGET_NORM] = norm
+        for s, nodes in enumerate(self.sizes):
+            red, green, blue, norm = self._tabulate(
+                base, self.strata, self.points, int(column), int(row), self.search.exponent,
+                float(self.table.lights[s, BASE_BLUR]), self.lobes, nodes, self.work, self.kernels.tabulate,
+                self.kernels.source_log_normalisation,
+            )  # fmt: skip
+            if s == 0:
+                starts = self.work[18 : 18 + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS).copy()
+        share_out(self.table)
+        self.report[TARGET_NORM] = norm if len(self.sizes) == 1 else target_norm(self.table)
         self.set_colour(np.array([red, green, blue]))
-        starts = self.work[18 : 18 + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS).copy()
+        smallest = float(self.table.lights[0, BASE_BLUR])
+        if smallest > 0.0:
+            # Starts are lobes as they are, not as a light shows them.
+            for start in starts:
+                values, vectors = np.linalg.eigh([[start[2], start[4]], [start[4], start[3]]])
+                values = np.log(np.maximum(np.exp(values) - smallest, math.exp(self.search.log_low)))
+                tensor = (vectors * values) @ vectors.T
+                start[2:5] = tensor[0, 0], tensor[1, 1], tensor[0, 1]
         top = int(np.argmax(np.where(self.nodes[WEIGHT] > 0.0, self.nodes[[RED, GREEN, BLUE]].sum(axis=0), 0.0)))
         h_x, h_y, h_z = self.nodes[[H_X, H_Y, H_Z], top]
         if h_z > 1.0 / STEEPEST_SLOPE:
@@ -104,14 +124,14 @@ class Problem:
         """Aim the scalar target at a colour's direction (white where there is none)."""
         colour = np.maximum(colour, 0.0)
         self.colour = colour if colour.sum() > 0.0 else np.ones(3)
-        self.setting[HELD] = 0.0
-        aim(self.nodes, self.colour, self.report[TARGET_NORM], self.setting)
+        self.setting[HELD] = FREE
+        aim(self.table, self.colour, self.report[TARGET_NORM], self.setting)
 
     def value(self, theta: NDArray) -> float:
         """Relative squared error - 1, with walls; ``gradient`` is left behind. Infinite where it is not a number."""
         self.evaluations += 1
         value = self._evaluate(
-            theta, self.nodes, self.setting, self.kernels.moments, self.kernels.log_normalisation, self.gradient,
+            theta, self.table, self.setting, self.kernels.moments, self.kernels.log_normalisation, self.gradient,
             self.scratch,
         )  # fmt: skip
         return value if math.isfinite(value) else math.inf
@@ -119,7 +139,7 @@ class Problem:
     def settle(self, theta: NDArray) -> tuple[float, NDArray]:
         """Relative squared error and best scale (3,) of a lobe inside its bounds."""
         self._settle(
-            theta, self.nodes, self.setting, self.kernels.values, self.kernels.log_normalisation, self.values,
+            theta, self.table, self.setting, self.kernels.values, self.kernels.log_normalisation,
             self.search.exponent, self.work, self.report,
         )  # fmt: skip
         return float(self.report[RESIDUAL]), self.report[0:3].copy()
@@ -219,6 +239,7 @@ def oracle(
     search: Search,
     kernels: ModelKernels,
     pixel_filter: str = "box",
+    lights: NDArray = POINT,
     given: NDArray | None = None,
     nodes: int = ORACLE_NODES,
     samples: tuple[int, int] = DENSE_SAMPLES,
@@ -230,6 +251,7 @@ def oracle(
     Args:
         base, base_size: of the set. level_size: (height, width). columns, rows: texels of the level, (n,) int64.
         search: what is free, bounds and density exponent, as the fit has them (``held`` is ignored).
+        lights: sizes of light, as ``Problem`` takes them.
         given: (M, n, 6) lobes to start from as well; the result is never worse than any of them by its own rule.
         nodes, samples: of the dense rule. solvers: the first takes all starts, the others the best few.
         threads: the tables, most of the cost, release the GIL. The result does not depend on it.
@@ -241,7 +263,7 @@ def oracle(
     found = OracleFit(np.zeros((count, PARAMETERS)), np.zeros((count, 3)), np.zeros(count), np.zeros(count, np.int64))
 
     def work(part: NDArray) -> None:
-        problem = Problem(strata, points, search, kernels)
+        problem = Problem(strata, points, search, kernels, lights)
         for i in part:
             problem.evaluations = 0
             starts = problem.set_footprint(base, columns[i], rows[i])

@@ -13,6 +13,7 @@ NO_SPECULAR = 7
 CLOSED_FORM = 8
 NOT_REACHED = 9
 FEW_NODES = 10
+POOR = 11
 
 #: Name and what it means, with advice where there is any; the index is what ``Level.status`` holds.
 STATUSES: tuple[tuple[str, str], ...] = (
@@ -27,6 +28,11 @@ STATUSES: tuple[tuple[str, str], ...] = (
     ("closed form", "The closed-form lobe is within the tolerance that was asked for; nothing was searched."),
     ("not reached", "No pixel reads this level; its channels were averaged, each for itself."),
     ("few nodes", "The search converged on fewer nodes than usual, which the tolerance that was asked for allows."),
+    (
+        "poor",
+        "More than half of the target is missed after every start and every peak was tried: no single lobe stands for "
+        "this footprint under such lights; larger --lights ask for less.",
+    ),
 )
 
 STATUS_NAMES = tuple(name for name, _ in STATUSES)

@@ -124,7 +124,7 @@ def _tables(base, strata, points, columns, rows, exponent, lobes, nodes, norm, t
     work = np.zeros(64)
     for i in range(columns.size):
         _, _, _, norm[i] = target_table(
-            base, strata, points, columns[i], rows[i], exponent, lobes, nodes[i], work, tabulate_kernel,
+            base, strata, points, columns[i], rows[i], exponent, 0.0, lobes, nodes[i], work, tabulate_kernel,
             source_log_normalisation,
         )  # fmt: skip
 

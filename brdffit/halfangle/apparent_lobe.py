@@ -78,7 +78,8 @@ class Strata(NamedTuple):
     ``x`` and ``y``: stratum centres relative to the footprint's centre, in base texels; ``weight_x`` and ``weight_y``
     sum to 1; ``jitter_x`` and ``jitter_y``: width of the jitter in base texels (0: none); ``scale_x`` and ``scale_y``:
     base texels per texel of the level; ``seed`` tells levels apart; ``merge``: how many lobe widths the normal may turn
-    across the strata between four texels for one sample to stand for them all (0: never).
+    across the strata between four texels for one sample to stand for them all (0: never); ``light``: what the smallest
+    light adds to alpha^2, so that no lobe is seen narrower (0: a point).
     """
 
     x: NDArray
@@ -91,6 +92,7 @@ class Strata(NamedTuple):
     scale_y: float
     seed: int
     merge: float = 0.0
+    light: float = 0.0
 
     @property
     def samples(self) -> int:
@@ -240,13 +242,13 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
             inverse = 0.0
             spreads = False
             if step > 0.0 and not jittered:
-                inverse = 1.0 / narrowest(tensors, roughness, base.isotropic)
+                inverse = 1.0 / (narrowest(tensors, roughness, base.isotropic) + strata.light)
                 # Squared turn across a stratum, in lobe widths.
                 turn_x, turn_y = edges(normals)
                 turn_x, turn_y = size_x * size_x * turn_x * inverse, size_y * size_y * turn_y * inverse
                 merge_x = many_x > 1 and many_x * many_x * turn_x < strata.merge * strata.merge
                 merge_y = many_y > 1 and many_y * many_y * turn_y < strata.merge * strata.merge
-                if (merge_x or merge_y) and alike(sums, tensors, roughness, base.isotropic):
+                if (merge_x or merge_y) and alike(sums, tensors, roughness, base.isotropic, strata.light):
                     if merge_x:
                         apart_x, span_x = 1, many_x
                     if merge_y:

@@ -197,8 +197,10 @@ def widening_at(widening, alpha_squared):
 
 
 @kernel
-def widen_lobes(lobes, count, isotropic, widening):
+def widen_lobes(lobes, count, isotropic, widening, light=0.0):
     """Add to each lobe the SPREAD of its own part of the footprint; tensors become full ones, no longer isotropic.
+
+    ``light``: what a light of some size adds to every alpha^2 before.
 
     LEAN's tensor, twice the covariance C added, keeps the moments; for long-tailed lobes it misses the average over
     the part by three times as much as the nearest lobe does. Where C is small the wide lobe is that nearest one, of any
@@ -209,6 +211,7 @@ def widen_lobes(lobes, count, isotropic, widening):
     """
     for i in range(count):
         xx, yy, xy, least = tensor_of(lobes, i, isotropic)
+        xx, yy, least = xx + light, yy + light, least + light
         size, stretch, gain = widening_at(widening, 0.5 * (xx + yy))
         s_xx, s_yy, s_xy = 0.5 * lobes[i, SPREAD], 0.5 * lobes[i, SPREAD + 1], 0.5 * lobes[i, SPREAD + 2]
         before = max(xx * yy - xy * xy, least * least)
@@ -223,9 +226,19 @@ def widen_lobes(lobes, count, isotropic, widening):
 
 
 @kernel
-def widen_round_lobes(lobes, count, widening):
+def light_lobes(lobes, first, last, isotropic, light):
+    """Add what a light of some size adds to the alpha^2 of lobes first to last - 1."""
+    for i in range(first, last):
+        lobes[i, TENSOR] += light
+        if not isotropic:
+            lobes[i, TENSOR + 1] += light
+
+
+@kernel
+def widen_round_lobes(lobes, count, widening, light=0.0):
     """As ``widen_lobes``, for isotropic lobes and spreads so small that they may stay isotropic."""
     for i in range(count):
+        lobes[i, ALPHA_SQUARED] += light
         size, _, gain = widening_at(widening, lobes[i, ALPHA_SQUARED])
         # Twice the mean variance, in units of alpha^2.
         spread = 0.5 * (lobes[i, SPREAD] + lobes[i, SPREAD + 1]) / lobes[i, ALPHA_SQUARED]

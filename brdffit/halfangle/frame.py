@@ -41,8 +41,15 @@ def lobe_frame(n_x, n_y, n_z, a, b, c, frame):
     u_i = exp(-l_i / 2) v_i are the tangent-plane axes along the eigenvectors of the tensor, scaled so that
     q = (u1.h)^2 + (u2.h)^2. Returns (l1, l2, cos, sin) of ``eigen_log`` and the two scales exp(-l_i / 2).
     """
-    t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(n_x, n_y, n_z)
     l1, l2, cos, sin = eigen_log(a, b, c)
+    s1, s2 = scaled_frame(n_x, n_y, n_z, l1, l2, cos, sin, frame)
+    return l1, l2, cos, sin, s1, s2
+
+
+@inline
+def scaled_frame(n_x, n_y, n_z, l1, l2, cos, sin, frame):
+    """``lobe_frame`` of a tensor given by its log eigenvalues and first eigenvector; returns the two scales."""
+    t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(n_x, n_y, n_z)
     s1 = math.exp(-0.5 * l1)
     s2 = math.exp(-0.5 * l2)
     frame[0] = s1 * (cos * t_x + sin * b_x)
@@ -54,7 +61,7 @@ def lobe_frame(n_x, n_y, n_z, a, b, c, frame):
     frame[6] = n_x
     frame[7] = n_y
     frame[8] = n_z
-    return l1, l2, cos, sin, s1, s2
+    return s1, s2
 
 
 @inline

@@ -29,7 +29,7 @@ from brdffit.halfangle.apparent_lobe import (
     normalise_shapes,
     strata,
 )
-from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, LEAN, STARTS, closed_forms, widen_lobes
+from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, LEAN, STARTS, closed_forms, light_lobes, widen_lobes
 from brdffit.halfangle.objective import PARAMETERS, lobe_values_type, log_normalisation_type
 from brdffit.halfangle.quadrature import (
     BLUE,
@@ -87,9 +87,11 @@ def dense_strata(
 
 
 @kernel
-def target_table(base, strata, points, column, row, exponent, lobes, nodes, work, tabulate_kernel,
+def target_table(base, strata, points, column, row, exponent, light, lobes, nodes, work, tabulate_kernel,
                  source_log_normalisation):  # fmt: skip
     """Nodes, table and weights of one footprint; returns (mean colour r, g, b, <T,T>).
+
+    ``light``: what a light of some size adds to the alpha^2 of every lobe (0: a point).
 
     Where nothing is reflected T is 0, and <T,T> that of the same lobes in white: errors stay relative to something.
     """
@@ -98,8 +100,10 @@ def target_table(base, strata, points, column, row, exponent, lobes, nodes, work
     red, green, blue, some = normalise_mixture(lobes, count)
     isotropic = base.isotropic
     if spread > _NARROW_SPREAD:
-        widen_lobes(lobes, count, isotropic, base.widening)
+        widen_lobes(lobes, count, isotropic, base.widening, light)
         isotropic = False
+    elif light > 0.0:
+        light_lobes(lobes, 0, count, isotropic, light)
     closed_forms(lobes, count, isotropic, starts, False)
     add_defensive_lobe(
         lobes, count, DEFENSIVE_SHARE, starts[LEAN, 0], starts[LEAN, 1], min(starts[LEAN, 2], 0.0),
@@ -129,7 +133,7 @@ def measure_rows(base, strata, points, columns, rows, exponent, theta, scale, er
     work = np.zeros(64)
     for i in range(columns.size):
         red, green, blue, norm = target_table(
-            base, strata, points, columns[i], rows[i], exponent, lobes, nodes, work, tabulate_kernel,
+            base, strata, points, columns[i], rows[i], exponent, 0.0, lobes, nodes, work, tabulate_kernel,
             source_log_normalisation,
         )  # fmt: skip
         for m in range(theta.shape[0]):

@@ -150,8 +150,12 @@ def lobe_values_type(floats):  # type: ignore[no-untyped-def]
     return types.FunctionType(types.void(f64[::1], floats[:, ::1], log_normalisation_type, floats[::1], f64[::1]))
 
 
-# What an evaluation is told besides theta: held (0 or 1), |rho|^2 / TT or 1 / TT, bounds of log eigenvalues and of s.
-HELD, SCALE, LOG_LOW, LOG_HIGH, SHAPE_LOW, SHAPE_HIGH = range(6)
+# What an evaluation is told besides theta: what holds the scale (FREE, HOLDS or BOUNDED), 1 / TT (FREE) or
+# |rho|^2 / TT, bounds of log eigenvalues and of s; of BOUNDED, the least and greatest scale in units of the filtered
+# colour's, and the share of a sky that sees the energy alone.
+HELD, SCALE, LOG_LOW, LOG_HIGH, SHAPE_LOW, SHAPE_HIGH, SCALE_LOW, SCALE_HIGH, ENERGY = range(9)
+SETTINGS = 9
+FREE, HOLDS, BOUNDED = 0.0, 1.0, 2.0
 
 # Weight of the walls at the edge of the domain, in units of relative squared error per squared log alpha^2: a step of
 # 0.1 outside costs 0.02, as much as losing 17 dB costs; what is left outside is clamped after the fit.

@@ -117,11 +117,14 @@ def reflecting(colours):
 
 
 @inline
-def alike(sums, tensors, roughness, isotropic):
-    """Whether colour and roughness of the four texels differ so little that one sample may stand for all."""
+def alike(sums, tensors, roughness, isotropic, light):
+    """Whether colour and roughness of the four texels differ so little that one sample may stand for all, where
+    ``light`` is added to alpha^2."""
     if most(sums) > _BRIGHTER * least(sums):
         return False
     if isotropic:
+        if light > 0.0:
+            return most(roughness) ** 4 + light <= _ROUGHER**4 * (least(roughness) ** 4 + light)
         return most(roughness) <= _ROUGHER * least(roughness)
     e, f, g, h = tensors
     x, y, z = (e[0], f[0], g[0], h[0]), (e[1], f[1], g[1], h[1]), (e[2], f[2], g[2], h[2])

@@ -112,9 +112,10 @@ def _weights(name: str, shipped: Path) -> Path:
 
 
 def _fit_options(options: LearnedOptions) -> FitOptions:
-    """The same options as the fit has them."""
+    """The same options as the fit has them; the network knows point lights alone, so its fits do too."""
     ours = dataclasses.asdict(options)
-    return FitOptions(**{each.name: ours[each.name] for each in dataclasses.fields(FitOptions) if each.name in ours})
+    same = {each.name: ours[each.name] for each in dataclasses.fields(FitOptions) if each.name in ours}
+    return FitOptions(**{"lights": "point", **same})
 
 
 class Learned(LobeMethod):

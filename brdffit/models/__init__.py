@@ -36,6 +36,9 @@ class Model:
         widening: what normals of covariance C do to the nearest sharp lobe of this model: log alpha^2 grows by the
             first number times the mean of C (in units of alpha^2), log Sigma by the second times C's deviation from it,
             the scale by the third power of the determinant's growth. (2, 2, 0) is that of a Gaussian peak.
+        blur: what a light whose disc covers half vectors up to R away adds to alpha^2, over R^2, so that the wider lobe
+            is the nearest in L2 (docs/maths.md). A Gaussian peak's is 1/2 for a small light (twice the disc's variance
+            along an axis), 0.55 at R = alpha and 0.63 at 2 alpha.
     """
 
     name: str
@@ -47,6 +50,7 @@ class Model:
     shape_bounds: tuple[float, float, float] | None = None
     isotropic: bool = False
     widening: tuple[float, float, float] = (2.0, 2.0, 0.0)
+    blur: float = 0.58
 
     @property
     def default_shape(self) -> float:

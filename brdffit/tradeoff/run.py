@@ -111,7 +111,7 @@ class _Tried:
 
 def _bake(way: Way, svbrdf: Svbrdf, texels: Texels, size: Size) -> _Tried:
     """A closed form is baked whole: it costs by the image, not by the texel."""
-    method, options = get_method(way.method), FitOptions(levels=len(texels))
+    method, options = get_method(way.method), FitOptions(lights="point", levels=len(texels))
     took = []
     for _ in range(size.repeats + 1):
         start = time.perf_counter()
@@ -149,7 +149,7 @@ def _measure(tried: Sequence[_Tried], svbrdf: Svbrdf, base: Base, texels: Texels
     for model in dict.fromkeys(each.way.options.model for each in tried):
         own = [each for each in tried if each.way.options.model == model]
         for mip_level, at in enumerate(texels):
-            sample = LevelSample(svbrdf, mip_level, *at, FitOptions(model=model), base=base)
+            sample = LevelSample(svbrdf, mip_level, *at, FitOptions(lights="point", model=model), base=base)
             lobes = [Lobes(*(array[: len(at[0])] for array in each.lobes[mip_level])) for each in own]
             found = sample.measure(lobes, nodes=size.nodes, samples=size.samples)
             for k, each in enumerate(own):

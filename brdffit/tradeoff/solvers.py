@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from brdffit.fitting.bfgs import WORK, minimise
+from brdffit.fitting.bfgs import make_space, minimise
 from brdffit.fitting.method import level_rules, search_settings
 from brdffit.fitting.presets import get_quality
 from brdffit.fitting.sampling import LevelSample
@@ -37,12 +37,12 @@ _COMPILED: dict[int, Callable] = {}
 def solve_ours(problem: Problem, start: NDArray) -> NDArray:
     """theta (6,) where the compiled BFGS of the bake ends."""
     search, kernels = problem.search, problem.kernels
-    theta, work = start.copy(), np.zeros(WORK)
+    theta, space = start.copy(), make_space()
     value = problem.value(theta)
-    work[0:6] = problem.gradient
+    space.gradient[:] = problem.gradient
     arguments = (
-        theta, float(value), search.free, problem.nodes, problem.setting, kernels.moments, kernels.log_normalisation,
-        search.tolerance, 0.0, search.iterations, work,
+        theta, float(value), search.free, problem.table, problem.setting, kernels.moments, kernels.log_normalisation,
+        search.tolerance, 0.0, search.iterations, space,
     )  # fmt: skip
     # Looked up once: typing the arguments takes far longer than the search.
     run = _COMPILED.get(id(kernels.moments)) or _COMPILED.setdefault(id(kernels.moments), compiled(minimise, arguments))

@@ -66,7 +66,9 @@ class Case:
 
     def sample(self, model: str, svbrdf: Svbrdf | None = None) -> LevelSample:
         """Every texel of the case's level, of its own base or of another made from it."""
-        return sample_level(svbrdf or self.make(model), self.level, FitOptions(model=model, **self.options))
+        return sample_level(
+            svbrdf or self.make(model), self.level, FitOptions(lights="point", model=model, **self.options)
+        )
 
 
 def sample_level(svbrdf: Svbrdf, level: int, options: FitOptions) -> LevelSample:

@@ -45,7 +45,9 @@ def test_rare_branches_are_rare(name, quality, capsys):
     base = crop(name)
     counts = np.zeros(len(STATUSES), int)
     for level, size in enumerate(level_sizes(base.size, 6)):
-        sample = LevelSample(base, level, *random_texels(size, TEXELS, level), FitOptions(quality=quality), threads=2)
+        sample = LevelSample(
+            base, level, *random_texels(size, TEXELS, level), FitOptions(lights="point", quality=quality), threads=2
+        )
         _, output = sample.fit()
         counts += np.bincount(output.status, minlength=len(STATUSES))
     named = {name: int(count) for (name, _), count in zip(STATUSES, counts, strict=True) if count}

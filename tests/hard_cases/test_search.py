@@ -58,6 +58,7 @@ def bases(draw, wild: bool) -> tuple[Svbrdf, FitOptions]:
         low, _, high = get_model(model).shape_bounds
         base = base.replace(shape=rng.uniform(low, high, size).astype(np.float32))
     options = FitOptions(
+        lights="point",
         model=model,
         pixel_filter=draw(st.sampled_from(["box", "box", "gaussian", "mitchell"])),
         specular=draw(st.sampled_from(["free", "free", "held"])),
