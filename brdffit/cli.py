@@ -68,7 +68,7 @@ main.add_command(view)
 @click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
 @click.option("--method", default="bfgs", callback=known("method"), help="See `brdffit methods`; or module:object.")
 @click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
-@click.option("--specular", **choice("auto", "free", "held"), show_default="auto", help=SPECULAR_HELP)
+@click.option("--specular", **choice("auto", "bounded", "free", "held"), show_default="auto", help=SPECULAR_HELP)
 @set_option
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", help="Of the pictures.")
 @click.option("--compress", **choice("fast", "good", "best"), show_default="good", help="Time that blocks may take.")

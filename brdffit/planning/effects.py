@@ -52,7 +52,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "scale", "free specular scale", "the filtered specular colour is held",
-        on={"specular": "free"}, off={"specular": "held"},
+        on={"specular": "auto"}, off={"specular": "held"},
     ),
     Effect(
         "colour", "three colour channels in the fit", "one fit of the luminance serves all channels",

@@ -186,8 +186,10 @@ class SurfaceWork:
 
     def _setup(self, seen: Reach | None, off: Iterable[str]) -> Setup:
         scene = self.scene
+        # A plan promises decibels over pairs of directions, and is fitted by what it is measured by.
         options = FitOptions(
-            model=scene.model, quality=scene.quality, pixel_filter=scene.pixel_filter, threads=self.threads,
+            lights="point", model=scene.model, quality=scene.quality, pixel_filter=scene.pixel_filter,
+            threads=self.threads,
             reach=None if seen is None else (seen.first, seen.last),
         )  # fmt: skip
         return setup(options, set(off), tolerance=_SHORTCUTS * scene.budget.db)
