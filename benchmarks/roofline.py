@@ -185,7 +185,7 @@ def _bake(svbrdf, mip_level: int) -> float:  # type: ignore[no-untyped-def]
         for column, row in zip(sample.columns[:500], sample.rows[:500], strict=True)
     ]
     _, output = sample.fit(settings=settings)
-    nodes = rules.points[0].shape[1]
+    nodes = rules.points[0][0].shape[1]
     flop = float(output.evaluations.sum()) * nodes * MOMENT_FLOP
     flop += len(sample) * float(np.mean(counts)) * nodes * TABLE_FLOP
     return flop / _best(lambda: sample.fit(settings=settings), repeats=3)

@@ -17,6 +17,7 @@ from brdffit.fitting.status import CLOSED_FORM, FALLBACK
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of, gather_lobes, normalise_mixture, strata
 from brdffit.halfangle.measure import random_texels, snr
+from brdffit.halfangle.objective import FREE, HOLDS
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, LOBE_COLUMNS, SPECULAR
 from brdffit.halfangle.response import response_of
 
@@ -68,7 +69,10 @@ def closed(base, response, allowed=1.0, held=False):
     count, _ = gather_lobes(packed, rule, 0.0, 0, 0, lobes, moment)
     *colour, _ = normalise_mixture(lobes, count)
     theta, report = np.zeros(6), np.zeros(4)
-    excess = closed_form(lobes, count, packed.grey, held, *colour, response, allowed, theta, report, np.zeros(WORK))
+    excess = closed_form(
+        lobes, count, packed.grey, HOLDS if held else FREE, 0.0, 1e30, *colour, response, allowed, theta, report,
+        np.zeros(WORK),
+    )  # fmt: skip
     return excess, Lobes(theta[None], report[None, :3]), float(report[3])
 
 
@@ -114,7 +118,7 @@ def test_the_closed_form_is_finite_or_left_alone_in_hard_cases(case):
         return
     sample = case.sample("ggx")
     rules, search = sample.settings()
-    found = search._replace(allowed=1e20, response=response(held=search.held))
+    found = search._replace(allowed=1e20, response=response(held=search.scale == HOLDS))
     lobes, output = sample.fit(settings=(rules, found))
     assert np.isfinite(lobes.theta).all() and np.isfinite(lobes.scale).all() and np.isfinite(output.residual).all()
     assert (output.normal[:, 2] > 0).all()
@@ -125,7 +129,7 @@ def test_opposite_normals_have_no_mean_to_stand_around():
     lobes[:2, 0], lobes[:2, ALPHA_SQUARED], lobes[:2, GAIN] = (1.0, -1.0), 0.01, 1.0
     lobes[:2, SPECULAR : SPECULAR + 3] = 0.5
     theta, report = np.zeros(6), np.zeros(4)
-    excess = closed_form(lobes, 2, True, False, 1.0, 1.0, 1.0, response(), 1.0, theta, report, np.zeros(WORK))
+    excess = closed_form(lobes, 2, True, FREE, 0.0, 1e30, 1.0, 1.0, 1.0, response(), 1.0, theta, report, np.zeros(WORK))
     assert excess > 1.0 and not theta.any()
 
 
