@@ -139,7 +139,7 @@ class NormalDistributionMapping:
 
     def bake(self, material: Material, options: Any, progress: Progress | None = None) -> Baked:
         """Bake a material, see ``brdffit.methods.Method``."""
-        svbrdf = material.svbrdf
+        svbrdf = material.svbrdf.over_black()
         image = moments_of(svbrdf)
         sizes = level_sizes(svbrdf.size, options.levels)
         kept = 1 if options.keep_level_0 else 0
