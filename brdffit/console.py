@@ -34,8 +34,7 @@ _PHASES = {
     "reading": "reading the textures",
     "compiling": "compiling the kernels",
     "looking": "looking at the worst texels, and at some of each level",
-    "measuring": "measuring against the reference",
-    "preview": "lighting the preview",
+    "finishing": "measuring, drawing and writing",
 }
 
 #: Columns where no terminal sets them: file names stay whole.
@@ -64,7 +63,7 @@ class BakeDisplay:
         self._bars.stop()
 
     def phase(self, name: str) -> None:
-        """A phase begins: "reading", "compiling", "fitting", "measuring", "preview" or "writing"."""
+        """A phase begins: "reading", "compiling", "fitting" or "finishing"."""
         now = time.perf_counter()
         if self._phase == "compiling":
             self._console.print(f"Compiled in {now - self._phase_began:.1f} s.")

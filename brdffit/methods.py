@@ -160,6 +160,11 @@ class Baked:
         """What is said of each level of lobes; None for each level of a result without lobes."""
         return [None] * len(self.sizes) if self.lobes is None else self.lobes.levels
 
+    @property
+    def wrap(self) -> str:
+        """How it goes on beyond its border: "tile" or "clamp"."""
+        return getattr(self.appearance, "wrap", "tile") if self.lobes is None else self.lobes[0].svbrdf.wrap
+
     def images(self) -> list[Image]:
         """The pictures that hold the result exactly: what is exported."""
         return list(self.stored) if self.lobes is None else lobe_images(self.lobes)

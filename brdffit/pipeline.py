@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +25,7 @@ from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import measure, random_texels, snr
 from brdffit.methods import DEFAULT, Baked, Material, Method, Pyramid, get_method, with_options
 from brdffit.models import get_model
-from brdffit.options import BakeOptions, make_options
+from brdffit.options import BakeOptions, LobeOptions, make_options
 from brdffit.render.preview import make_preview
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures import READING_OPTIONS
@@ -31,10 +33,14 @@ from brdffit.textures.conversion import to_svbrdf, unread_roles
 from brdffit.textures.reading import read_texture_set
 from brdffit.textures.texture_set import TextureSet
 
-#: Random texels of a level, nodes and samples an axis of what the manifest reports.
-_REPORT_TEXELS, _REPORT_NODES, _REPORT_SAMPLES = 64, 1024, (16, 96)
+#: What the manifest reports is measured on so many random texels of a level (all, where it has fewer), with so many
+#: nodes, and samples of their footprints along an axis, at least and at most; a level's texels share out as many
+#: samples as 64 texels with 48 a side have, so that the last levels, where few texels hold much, get more of them.
+_REPORT_TEXELS, _REPORT_NODES, _REPORT_SAMPLES, _SHARED_SAMPLES = 64, 512, 16, 64 * 48**2
 
 Source = str | os.PathLike[str] | TextureSet | Svbrdf | Material
+#: write(baked, manifest, picture): writes a result; manifest and picture are called when all else is written.
+Write = Callable[[Baked, Callable[[], dict[str, Any]], Callable[[], NDArray] | None], dict[str, Any]]
 #: annotate(baked, seconds of the fit): what more a manifest says, by its top-level parts.
 Annotate = Callable[[Baked, float], Mapping[str, Mapping[str, Any]]]
 
@@ -43,7 +49,7 @@ class ProgressListener(Protocol):
     """Who wants to know how far a bake is."""
 
     def phase(self, name: str) -> None:
-        """A phase begins: reading, compiling, fitting, measuring, preview, writing."""
+        """A phase begins: reading, compiling, fitting, finishing."""
 
     def __call__(self, level: int, done: int, total: int) -> None:
         """So many texels of a level are done."""
@@ -179,10 +185,15 @@ def bake_to_folder(
         export.check_writable(folder, preset=preset, bits=bits)
         read = dataclasses.replace(read_set(texture_set or source, {}, asked, without), name=name)
         export.check_writable(folder, read.material.size, preset, bits)
+    if isinstance(asked, LobeOptions):
+        with phases("compiling"):
+            _compile_measuring(read.material, asked)
     baked = run(read, chosen, asked, phases)
     draw = (lambda: draw_preview(read, baked)) if preview else None
 
-    def write(baked: Baked, manifest: dict[str, Any], picture: NDArray | None) -> dict[str, Any]:
+    def write(
+        baked: Baked, manifest: Callable[[], dict[str, Any]], picture: Callable[[], NDArray] | None
+    ) -> dict[str, Any]:
         return export.write_baked(
             baked, folder, name=read.name, preset=preset, bits=bits, compress=compress, manifest=manifest,
             preview=picture,
@@ -270,7 +281,7 @@ def assess(material: Material, baked: Baked, texels: int = _REPORT_TEXELS) -> li
         found = measure(
             base, svbrdf.size, [weighted], columns, rows, pixel_filter=pyramid.options.pixel_filter,
             exponent=DENSITY_EXPONENTS[pyramid.options.density], kernels=kernels, default_shape=target.default_shape,
-            nodes=_REPORT_NODES, samples=_REPORT_SAMPLES,
+            nodes=_REPORT_NODES, samples=(_REPORT_SAMPLES, math.isqrt(_SHARED_SAMPLES // len(columns))),
         )  # fmt: skip
         # Rounded well above the noise of the sums, so that manifests agree to the byte.
         figures.append(
@@ -306,38 +317,44 @@ def finish(
     baked: Baked,
     phases: Phases,
     *,
-    write: Callable[[Baked, dict[str, Any], NDArray | None], dict[str, Any]],
+    write: Write,
     draw: Callable[[], NDArray] | None = None,
     annotate: Annotate | None = None,
     record: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Measure, draw and write a result.
+    """Measure, draw and write a result, all at once: the files are written while the rest is made.
 
     Args:
         read: what was baked. baked: the result. phases: timed.
-        write: writes result, manifest and picture; returns the manifest as written.
+        write: writes the result, a manifest and a picture (both functions, called last); returns the manifest.
         draw: makes the picture. annotate, record: what more the manifest says.
 
     Returns:
         The manifest as written, and what was measured of each level.
     """
-    with phases("measuring"):
-        measured = assess(read.material, baked)
-        noted = annotate(baked, phases.seconds["fitting"]) if annotate is not None else {}
-    picture = None
-    if draw is not None:
-        with phases("preview"):
-            picture = draw()
-    with phases("writing"):
-        manifest = build_manifest(
-            baked, name=read.name, inputs=read.inputs(), conventions=read.conventions(), status_names=STATUS_NAMES,
-            measured=measured, notes=read.notes, digests=read.digests,
-        )  # fmt: skip
-        for part, more in noted.items():
-            manifest[part] = {**manifest.get(part, {}), **more}
-        manifest |= record or {}
-        manifest = write(baked, manifest, picture)
-    return manifest, measured
+    with phases("finishing"), ThreadPoolExecutor(2) as pool:
+        measuring = pool.submit(assess, read.material, baked)
+        drawing = None if draw is None else pool.submit(draw)
+
+        def manifest() -> dict[str, Any]:
+            made = build_manifest(
+                baked, name=read.name, inputs=read.inputs(), conventions=read.conventions(),
+                status_names=STATUS_NAMES, measured=measuring.result(), notes=read.notes, digests=read.digests,
+            )  # fmt: skip
+            noted = annotate(baked, phases.seconds["fitting"]) if annotate is not None else {}
+            for part, more in noted.items():
+                made[part] = {**made.get(part, {}), **more}
+            return made | dict(record or {})
+
+        written = write(baked, manifest, None if drawing is None else drawing.result)
+        return written, measuring.result()
+
+
+def _compile_measuring(material: Material, options: LobeOptions) -> None:
+    """Compile, or load, what measures lobes, so that it is told apart from measuring them."""
+    arrays = {name: array[:2, :2] for name, array in material.svbrdf.arrays().items()}
+    few = Material(material.svbrdf.replace(**arrays))
+    assess(few, Baked.of_lobes(averaged_levels(few, dataclasses.replace(options, levels=None))))
 
 
 def _without_normals(options: BakeOptions, without: Collection[str]) -> BakeOptions:

@@ -59,7 +59,7 @@ def baked(monkeypatch, tmp_path):
         if calls.error is not None:
             raise calls.error
         progress(0, 32, 32)
-        progress.phase("writing")
+        progress.phase("finishing")
         folder = tmp_path / "set"
         folder.mkdir()
         (folder / "preview.png").write_bytes(b"picture")

@@ -69,7 +69,7 @@ def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, monkeypatch, er
     monkeypatch.setattr(module, writer, fails_the_second_time)
     with pytest.raises(KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else OutputError) as raised:
         write(folder, seed=1)
-    assert len(calls) == 2
+    assert len(calls) >= 2  # files are written beside each other
     if isinstance(error, OSError):
         assert "No space left on device" in str(raised.value) and str(folder) in str(raised.value)
     assert contents(tmp_path) == before

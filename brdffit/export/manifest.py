@@ -63,7 +63,7 @@ def build_manifest(
         "method": baked.method,
         "model": baked.lobes.model if baked.lobes else None,
         "options": options,
-        "wrap": baked.lobes[0].svbrdf.wrap if baked.lobes else (conventions or {}).get("wrap"),
+        "wrap": baked.wrap,
         "conventions": dict(conventions or {}),
         "inputs": [
             {"role": role, "file": Path(path).name, "sha256": known.get(Path(path)) or file_digest(path)}

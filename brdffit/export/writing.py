@@ -1,12 +1,13 @@
 """Writing a pyramid: MIP-mapped EXR files, engine-ready pictures, manifest and preview, all of them or none.
 
-Memory stays near one EXR file's worth at any size: those are written one after another, pictures level by level, and
-derived quantities are computed in bands of rows.
+Memory stays near two EXR files' worth at any size: two of them are written at once, pictures beside them, and derived
+quantities are computed in bands of rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,9 @@ from brdffit.files.image_io import read_mip_exr, write_mip_exr, write_png
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.methods import Baked, Image
 from brdffit.svbrdf import level_sizes
+
+#: EXR files that are written at the same time.
+_FILES_AT_ONCE = 2
 
 
 def check_writable(
@@ -52,8 +56,8 @@ def write_baked(
     preset: str = "plain",
     bits: int = 8,
     compress: str = "good",
-    manifest: Mapping[str, Any],
-    preview: NDArray | None = None,
+    manifest: Mapping[str, Any] | Callable[[], Mapping[str, Any]],
+    preview: NDArray | Callable[[], NDArray] | None = None,
 ) -> dict[str, Any]:
     """Write a result into ``folder`` (OUT/<set>), which is replaced as a whole or left as it was.
 
@@ -71,7 +75,8 @@ def write_baked(
         bits: 8 or 16, of the pictures.
         compress: "fast", "good" or "best": how long encoders of blocks may take.
         manifest: from `build_manifest`.
-        preview: (H, W, 3) uint8, from `make_preview`.
+        preview: (H, W, 3) uint8, from `make_preview`. Both may be functions, which are called when all else is written:
+            what they wait for is then made meanwhile.
 
     Returns:
         The manifest as written.
@@ -83,11 +88,19 @@ def write_baked(
     chosen = get_preset(preset)
     check_preset(chosen, bits, baked.sizes[0])
     with atomic.replacing(folder, foreign_file) as fresh:
-        record = dict(manifest)
-        record["filled_levels"] = _write_exr_files(baked, fresh, record["wrap"])
-        record["pictures"] = {}
-        if baked.lobes is not None:
-            record |= write_pictures(baked.lobes, fresh, name, chosen, bits, compress)
+        pictures: dict[str, Any] = {"pictures": {}}
+        with ThreadPoolExecutor(_FILES_AT_ONCE) as pool:
+            written = [pool.submit(_write_exr_file, image, fresh, baked.wrap) for image in baked.images()]
+            try:
+                if baked.lobes is not None:
+                    pictures = write_pictures(baked.lobes, fresh, name, chosen, bits, compress)
+                for each in written:
+                    each.result()
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+        record = {**(manifest() if callable(manifest) else manifest), **pictures}
+        record["filled_levels"] = list(range(len(baked.sizes), len(level_sizes(baked.sizes[0]))))
         record["preset"] = {
             "name": chosen.name,
             "normal_y": chosen.normal_y,
@@ -97,7 +110,7 @@ def write_baked(
             "note": chosen.note,
         }
         if preview is not None:
-            write_png(fresh / "preview.png", preview)
+            write_png(fresh / "preview.png", preview() if callable(preview) else preview)
         paths = sorted(path for path in fresh.rglob("*") if path.is_file())
         record["files"] = {
             path.relative_to(fresh).as_posix(): {"bytes": path.stat().st_size, "sha256": file_digest(path)}
@@ -108,18 +121,15 @@ def write_baked(
     return record
 
 
-def _write_exr_files(baked: Baked, fresh: Path, wrap: str) -> list[int]:
-    """Write the EXR files; the levels that the result lacks and that were filled."""
-    sizes = level_sizes(baked.sizes[0])
-    for image in baked.images():
-        levels = [_whole_level(image, k) for k in range(len(image.sizes))]
-        for size in sizes[len(levels) :]:
-            averaged = filter_channels(levels[-1], size, get_pixel_filter("box"), wrap)
-            levels.append(_normalised(averaged) if image.unit else averaged)
-        path = fresh / f"{image.name}.exr"
-        write_mip_exr(path, levels, image.channels)
-        _verify(path, levels, image.channels)
-    return list(range(len(baked.sizes), len(sizes)))
+def _write_exr_file(image: Image, fresh: Path, wrap: str) -> None:
+    """Write an EXR file down to 1x1, and see that all of it is there."""
+    levels = [_whole_level(image, k) for k in range(len(image.sizes))]
+    for size in level_sizes(image.sizes[0])[len(levels) :]:
+        averaged = filter_channels(levels[-1], size, get_pixel_filter("box"), wrap)
+        levels.append(_normalised(averaged) if image.unit else averaged)
+    path = fresh / f"{image.name}.exr"
+    write_mip_exr(path, levels, image.channels)
+    _verify(path, levels, image.channels)
 
 
 def _verify(path: Path, levels: Sequence[NDArray], channels: Sequence[str]) -> None:

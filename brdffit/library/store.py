@@ -24,14 +24,16 @@ from brdffit.export.manifest import FILE_NAME
 from brdffit.files import atomic
 from brdffit.library.task import Task
 from brdffit.methods import Baked
+from brdffit.pipeline import Write
 
 try:
     import fcntl
 except ImportError:  # Windows has none
     fcntl = None  # type: ignore[assignment]
 
-#: write(baked, manifest, picture): gives the manifest as written.
-Write = Callable[[Baked, dict[str, Any], NDArray | None], dict[str, Any]]
+
+Manifest = Callable[[], dict[str, Any]]
+Picture = Callable[[], NDArray] | None
 
 
 class Store(Protocol):
@@ -117,7 +119,7 @@ class _Folder:
         folder = self.root / task.key
         export.check_writable(folder, size)
 
-        def write(baked: Baked, manifest: dict[str, Any], picture: NDArray | None) -> dict[str, Any]:
+        def write(baked: Baked, manifest: Manifest, picture: Picture) -> dict[str, Any]:
             return export.write_baked(
                 baked, folder, name=task.found.name, preset=task.preset, bits=task.bits, manifest=manifest,
                 preview=picture,
@@ -212,7 +214,7 @@ class _Remote:
         with tempfile.TemporaryDirectory(prefix="brdffit-") as here:
             export.check_writable(Path(here) / "set", size)
 
-            def write(baked: Baked, manifest: dict[str, Any], picture: NDArray | None) -> dict[str, Any]:
+            def write(baked: Baked, manifest: Manifest, picture: Picture) -> dict[str, Any]:
                 written = export.write_baked(
                     baked, Path(here) / "set", name=task.found.name, preset=task.preset, bits=task.bits,
                     manifest=manifest, preview=picture,
