@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from brdffit._jit import inline, kernel, types
+from brdffit.halfangle.patch import hash_of
 from brdffit.models.microfacet import fifth_power, reflect
 from brdffit.render._kernels import (
     AMPLITUDE,
@@ -30,7 +31,6 @@ from brdffit.render._kernels import (
     SPECULAR,
     TENSOR,
     fill_block,
-    hash_bits,
     make_scratch,
     sample_pyramid,
 )
@@ -265,10 +265,10 @@ def light_from_all_around(block, count, view, frame, table, light, harmonics, wh
                           shade_lobe, shade_diffuse, look_around):  # fmt: skip
     """Add to ``out`` (3,) what ``count`` samples reflect of the light; ``key`` and ``part`` choose where."""
     room = table.shape[1] - BLOCK
-    first = int(hash_bits(key, part, 17, 1)) % room
+    first = int(hash_of(key, part, 17, 1)) % room
     directions_of_lights(table, first, count, frame, directions)
     shade_lobe(block, count, view, directions, out)
-    first = int(hash_bits(key, part, 29, 2)) % room
+    first = int(hash_of(key, part, 29, 2)) % room
     directions_of_lobes(block, table, first, count, view, directions)
     look_around(directions, count, frame, light)
     shade_lobe(block, count, view, directions, out)

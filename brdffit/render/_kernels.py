@@ -12,6 +12,7 @@ import numpy as np
 
 from brdffit._jit import inline, kernel, types
 from brdffit.halfangle.frame import eigen_log
+from brdffit.halfangle.patch import hash_of, wrapped
 from brdffit.models.microfacet import LEAST_REFLECTANCE, fifth_power, reflect
 
 real = np.float32
@@ -97,26 +98,6 @@ def shade_block(block, count, view, light, sums):
     sums[0] += total + red + matt_red * (1.0 / math.pi)
     sums[1] += total + green + matt_green * (1.0 / math.pi)
     sums[2] += total + blue + matt_blue * (1.0 / math.pi)
-
-
-@inline
-def hash_bits(a, b, c, d):
-    """A 32-bit mix of four integers (murmur3's finaliser over a linear combination)."""
-    h = np.uint32(a) * np.uint32(0x9E3779B1) ^ np.uint32(b) * np.uint32(0x85EBCA77)
-    h = h ^ np.uint32(c) * np.uint32(0xC2B2AE3D) ^ np.uint32(d) * np.uint32(0x27D4EB2F)
-    h = np.uint32(h ^ (h >> np.uint32(16))) * np.uint32(0x85EBCA6B)
-    h = np.uint32(h ^ (h >> np.uint32(13))) * np.uint32(0xC2B2AE35)
-    return np.uint32(h ^ (h >> np.uint32(16)))
-
-
-@inline
-def wrapped(i, size, tile):
-    """Texel index beyond the border: repeated or held."""
-    if 0 <= i < size:
-        return i
-    if tile:
-        return i % size
-    return min(max(i, 0), size - 1)
 
 
 @inline
@@ -213,7 +194,7 @@ def fill_block(packed, level, roughness_kind, has_shape, tile, footprint, strata
     for number in range(first, last):
         row = number // across
         column = number - row * across
-        bits = hash_bits(key, row, column, half)
+        bits = hash_of(key, row, column, half)
         low, high = (bits & np.uint32(0xFFFF)) + 0.5, (bits >> np.uint32(16)) + 0.5
         x = strata_x[column] + (strata_x[column + 1] - strata_x[column]) * (low / 65536.0)
         y = strata_y[row] + (strata_y[row + 1] - strata_y[row]) * (high / 65536.0)

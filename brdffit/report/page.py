@@ -26,7 +26,9 @@ def render_page(comparison: Comparison, pictures: Mapping[str, NDArray]) -> str:
         loader=jinja2.PackageLoader("brdffit.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    environment.filters.update(decibels=decibels, percent=percent, seconds=seconds, figure=figure)
+    environment.filters.update(
+        decibels=decibels, percent=percent, seconds=seconds, figure=figure, thousandths=thousandths
+    )
     fit, rows = fit_name(comparison), summary(comparison)
     colours = plots.method_colours(comparison)
     return environment.get_template("page.html").render(
@@ -66,6 +68,11 @@ def seconds(value: float | None) -> str:
     if value is None:
         return "\u2013"
     return f"{value:.2f}" if value < 10 else f"{value:.0f}"
+
+
+def thousandths(value: float | None) -> str:
+    """Three digits after the point."""
+    return "\u2013" if value is None else f"{value:.3f}"
 
 
 def figure(value: float | None) -> str:
