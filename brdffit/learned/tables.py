@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from brdffit._jit import kernel, numba_type, types
 from brdffit.fitting.batch import ModelKernels, model_kernels
-from brdffit.fitting.scoring import aim, target_norm
 from brdffit.halfangle.apparent_lobe import (
     Base,
     Strata,
@@ -28,13 +27,16 @@ from brdffit.halfangle.apparent_lobe import (
     normalise_shapes,
 )
 from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, widen_lobes, widen_round_lobes
-from brdffit.halfangle.objective import LOG_LOW, SCALE, TARGET, evaluate, log_normalisation_type, moments_type
+from brdffit.halfangle.objective import LOG_LOW, SCALE, SETTINGS, TARGET, evaluate, log_normalisation_type, moments_type
 from brdffit.halfangle.quadrature import (
+    BLUE,
+    GREEN,
     H_X,
     H_Y,
     H_Z,
     LOBE_COLUMNS,
     NODE_ROWS,
+    RED,
     WEIGHT,
     frame_lobes,
     lattice,
@@ -81,6 +83,17 @@ class Table(NamedTuple):
 
 
 @kernel
+def aim_at_colour(nodes, red, green, blue):
+    """Fill the row of weighted scalar targets, of <T, colour> for a unit colour; returns <T,T> over all channels."""
+    norm = 0.0
+    for j in range(nodes.shape[1]):
+        r, g, b, weight = nodes[RED, j], nodes[GREEN, j], nodes[BLUE, j], nodes[WEIGHT, j]
+        norm += weight * (r * r + g * g + b * b)
+        nodes[TARGET, j] = weight * (red * r + green * g + blue * b)
+    return norm
+
+
+@kernel
 def prepare_lobes(base, strata, column, row, lobes, diffuse_moment):
     """Gather a footprint and widen its lobes by what lies inside their parts: (count, isotropic, mean colour, some)."""
     count, spread = gather_lobes(base, strata, STEP, column, row, lobes, diffuse_moment)
@@ -100,12 +113,12 @@ def tabulate_rows(
     source_log_normalisation,
 ):  # fmt: skip
     """Fill a table for texels (columns[i], rows[i]); scales (n,) put each footprint's centre where it should be."""
-    feature, closed, setting, mean = np.zeros(FEATURES), np.zeros(CLOSED), np.zeros(6), np.zeros(3)
+    feature, closed = np.zeros(FEATURES), np.zeros(CLOSED)
     diffuse_moment = np.zeros(9)
     for i in range(columns.size):
         here = Strata(
             strata.x, strata.y, strata.weight_x, strata.weight_y, strata.jitter_x, strata.jitter_y, scale_x[i],
-            scale_y[i], strata.seed, strata.merge,
+            scale_y[i], strata.seed, strata.merge, strata.light,
         )  # fmt: skip
         count, isotropic, red, green, blue, _ = prepare_lobes(base, here, columns[i], rows[i], lobes, diffuse_moment)
         lobe_moments(lobes, count, isotropic, moments[i])
@@ -119,10 +132,9 @@ def tabulate_rows(
         place_nodes(lobes, count, points, EXPONENT, nodes)
         tabulate_kernel(lobes, count, isotropic, base.grey, nodes)
         weigh_nodes(nodes)
-        norm[i] = target_norm(nodes)
-        mean[0], mean[1], mean[2] = max(red, 1e-9), max(green, 1e-9), max(blue, 1e-9)
-        colour[i] = math.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2)
-        aim(nodes, mean, max(norm[i], 1e-30), setting)
+        red, green, blue = max(red, 1e-9), max(green, 1e-9), max(blue, 1e-9)
+        colour[i] = math.sqrt(red * red + green * green + blue * blue)
+        norm[i] = aim_at_colour(nodes, red / colour[i], green / colour[i], blue / colour[i])
         for k in range(NODES):
             out[i, 0, k], out[i, 1, k], out[i, 2, k] = nodes[H_X, k], nodes[H_Y, k], nodes[H_Z, k]
             out[i, 3, k], out[i, 4, k] = nodes[WEIGHT, k], nodes[TARGET, k]
@@ -185,7 +197,7 @@ def error_rows(tables, index, norm, theta, log_low, error, gradient, scale, weig
     ``gradient`` (n, 5) by theta, walls of the domain included; ``scale`` (n,) the best scale along the filtered colour;
     ``weight`` (n,) <D,D> / <T,T>: the error grows by weight (k - scale)^2 at another scale k.
     """
-    nodes, setting, work = np.zeros((NODE_ROWS, NODES), np.float32), np.zeros(6), np.zeros(48)
+    nodes, setting, work = np.zeros((NODE_ROWS, NODES), np.float32), np.zeros(SETTINGS), np.zeros(48)
     full, slope = np.zeros(6), np.zeros(6)
     setting[LOG_LOW] = log_low
     for i in range(index.size):
