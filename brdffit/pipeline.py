@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 import os
 import time
@@ -223,6 +224,16 @@ def bake_options(method: Method, preset: str | None, given: Mapping[str, Any]) -
     said = {name.rpartition(".")[2] for name in given}
     usual = {"lobe": chosen.lobe, **({"specular": "held"} if chosen.specular == "held" else {})}
     return with_options(asked, {name: value for name, value in usual.items() if name not in said})
+
+
+def bound_sources(method: str, model: str | None = None) -> list[Path]:
+    """Source files of a method, and of a lobe model's kernels: those of a user's own may lie anywhere."""
+    bound: list[Any] = [type(get_method(method))]
+    if model is not None:
+        found = get_model(model)
+        bound += [found.profile, found.profile_gradient, found.log_normalisation]
+    sources = {inspect.getsourcefile(getattr(each, "py_func", each)) for each in bound}
+    return sorted(Path(each) for each in sources if each is not None)
 
 
 def open_set(source: Source, reading: Mapping[str, Any], without: Collection[str] = ()) -> TextureSet | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import platform
@@ -163,6 +164,19 @@ def test_another_program_or_version_redoes_all(made, monkeypatch):
 
 def test_the_sources_that_matter_are_hashed():
     assert state.code_digest("bfgs") == state.code_digest("bfgs") != state.code_digest("library_support:Fails")
+
+
+def test_a_model_of_the_users_own_is_part_of_what_is_compared(tmp_path, monkeypatch):
+    source = tmp_path / "own_model.py"
+    kernels = ("profile", "profile_gradient", "log_normalisation")
+    source.write_text("".join(f"def {name}(*values):\n    return 1.0\n" for name in kernels))
+    monkeypatch.syspath_prepend(tmp_path)
+    own = importlib.import_module("own_model")
+    monkeypatch.setattr(pipeline, "get_model", lambda name: own)
+    before = state.code_digest("lean", "own")
+    source.write_text(source.read_text().replace("1.0", "100.0"))
+    state.code_digest.cache_clear()  # as in the next process
+    assert state.code_digest("lean", "own") != before
 
 
 def test_force_only_and_shards(made):

@@ -63,7 +63,7 @@ def read_set(task: Task) -> ReadTask:
     """
     start = time.perf_counter()
     options = _options(task)
-    if task.code != code_digest(task.method):
+    if task.code != code_digest(task.method, task.options.get("model")):
         raise InputError(
             f"'{task.found.source}' was not baked: this worker runs other sources of brdffit than the run that "
             "sent it, expected the same; start the run, or the workers, again."

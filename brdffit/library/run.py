@@ -181,7 +181,12 @@ def _tasks(
         same = json.dumps(said, sort_keys=True)
         if same not in split:
             split[same] = split_options(said)
-        return Task(found=found, output=address, code=code_digest(split[same]["method"]), **split[same])
+        return Task(
+            found=found,
+            output=address,
+            code=code_digest(split[same]["method"], split[same]["options"].get("model")),
+            **split[same],
+        )
 
     tasks = {found.key: of(found) for found in find_sets(root.resolve(), output, settings.is_left_out)}
     own = {name: value for name, value in options.items() if name not in Common.__struct_fields__}

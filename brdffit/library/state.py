@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import inspect
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -26,7 +25,7 @@ from brdffit.library.task import Task
 from brdffit.machine import versions
 from brdffit.methods import DEFAULT, get_method
 from brdffit.options import BakeOptions
-from brdffit.pipeline import bake_options
+from brdffit.pipeline import bake_options, bound_sources
 from brdffit.textures.reading import SUFFIXES
 
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -37,8 +36,8 @@ _MATTER = ("library/bake.py", "library/state.py", "library/thumbnail.py")
 
 
 @cache
-def code_digest(method: str = DEFAULT) -> str:
-    """SHA-256 of the sources that a bake by this method runs through: kernels, methods, readers and writers."""
+def code_digest(method: str = DEFAULT, model: str | None = None) -> str:
+    """SHA-256 of the sources that a bake runs through: kernels, readers, writers, and a method and model of others."""
     digest = hashlib.sha256()
     baselines = _PACKAGE.parent / "baselines"
     for root in (_PACKAGE, baselines):
@@ -46,9 +45,8 @@ def code_digest(method: str = DEFAULT) -> str:
             place = path.relative_to(root).as_posix()
             if root == baselines or place in _MATTER or not place.startswith(_NO_MATTER):
                 digest.update(f"{place}\0".encode() + path.read_bytes())
-    source = inspect.getsourcefile(type(get_method(method)))
-    if source is not None:  # a method from elsewhere
-        digest.update(Path(source).read_bytes())
+    for path in bound_sources(method, model):
+        digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
