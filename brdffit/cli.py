@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from brdffit.cli_options import (
+    LIGHTS_HELP,
     OUTPUT_HELP,
     SCENE_HELP,
     SPECULAR_HELP,
@@ -69,6 +70,7 @@ main.add_command(view)
 @click.option("--method", default="bfgs", callback=known("method"), help="See `brdffit methods`; or module:object.")
 @click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
 @click.option("--specular", **choice("auto", "bounded", "free", "held"), show_default="auto", help=SPECULAR_HELP)
+@click.option("--lights", metavar="NAME", show_default="mixed", help=LIGHTS_HELP)
 @set_option
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", help="Of the pictures.")
 @click.option("--compress", **choice("fast", "good", "best"), show_default="good", help="Time that blocks may take.")

@@ -120,14 +120,16 @@ def test_bake_passes_every_option_on(run, baked):
     arguments = (
         "set.gltf -o there --preset gltf --quality fine --method lean --model beckmann --set pixel_filter=mitchell "
         "--set levels=3 --threads 2 --normal-y dx --wrap clamp --specular free --bits 16 --role normal=a.png "
-        "--role orm=b=c.png --height-scale 4 --denoise-normals --material wall --no-preview --set fit.loss=l1"
+        "--role orm=b=c.png --height-scale 4 --denoise-normals --material wall --no-preview --lights lamp "
+        "--set fit.loss=l1"
     )
     assert run("bake", *arguments.split()).exit_code == 0
     assert baked.arguments == {
         "source": "set.gltf", "output": Path("there"), "preset": "gltf", "quality": "fine", "method": "lean",
         "model": "beckmann", "pixel_filter": "mitchell", "levels": "3", "threads": 2, "normal_y": "dx", "wrap": "clamp",
         "specular": "free", "bits": 16, "roles": {"normal": "a.png", "orm": "b=c.png"}, "height_scale": 4.0,
-        "denoise_normals": True, "material": "wall", "preview": False, "fit.loss": "l1",
+        "denoise_normals": True, "material": "wall", "preview": False, "lights": "lamp",
+        "fit.loss": "l1",
     }  # fmt: skip
 
 

@@ -73,3 +73,11 @@ def test_a_library_holds_it(folder, tmp_path, monkeypatch):
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
     assert (tmp_path / "out" / "wall" / "colour.exr").exists() and (tmp_path / "out" / "index.html").exists()
+
+
+def test_records_of_levels_that_are_seen_can_be_read_again(folder, tmp_path):
+    """What a scene asks for, the first and last level, is several numbers; records hold one value each."""
+    ask = Ask(methods=("naive",), pixels=12, frames=4, texels=4, pairs=16, lobes=2, samples="draft",
+              options={"fit.reach": (1, 2)})  # fmt: skip
+    page = write_report(*compare([folder], ask), tmp_path / "report")
+    assert read_records(page.with_name("records.json")).options["reach"] == "1,2"
