@@ -68,7 +68,7 @@ def to_svbrdf(
         occlusion=None if occlusion is None else _full(occlusion, size),
         height=None if height is None else _full(height, size),
     )
-    return covered(texture_set, svbrdf, scalar_map(texture_set, "opacity"))
+    return covered(texture_set, svbrdf, scalar_map(texture_set, "opacity"), unread)
 
 
 def unread_roles(texture_set: TextureSet, without: Collection[str]) -> list[str]:

@@ -7,6 +7,8 @@ so that what interpolates across the edge finds nothing dark there.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -28,10 +30,11 @@ def looks_like_coverage(alpha: NDArray) -> bool:
     return bool(empty.any() and np.mean(empty | full) >= BIMODAL and full.any())
 
 
-def covered(texture_set: TextureSet, svbrdf: Svbrdf, opacity: NDArray | None) -> Svbrdf:
+def covered(texture_set: TextureSet, svbrdf: Svbrdf, opacity: NDArray | None, unread: Collection[str] = ()) -> Svbrdf:
     """``svbrdf`` with its opacity (h, w, of its size or one texel) and what lies under no surface filled.
 
-    Without an opacity map, texels that are black in every map stand for those that nothing uses.
+    Without an opacity map, texels that are black in every map stand for those that nothing uses; maps of ``unread``
+    roles are not asked.
     """
     factor = float(texture_set.factors.get("opacity", 1.0))
     if opacity is not None and not (opacity >= 1.0 - NOTHING).all():
@@ -46,7 +49,7 @@ def covered(texture_set: TextureSet, svbrdf: Svbrdf, opacity: NDArray | None) ->
         )
         cutoff = DEFAULT_CUTOFF if texture_set.alpha_cutoff is None else texture_set.alpha_cutoff
         return _filled(svbrdf.replace(opacity=opacity, alpha=alpha, cutoff=cutoff), nothing)
-    unused = _unused(texture_set, svbrdf.size)
+    unused = _unused(texture_set, svbrdf.size, unread)
     if unused is None:
         return svbrdf
     texture_set.note(
@@ -56,18 +59,19 @@ def covered(texture_set: TextureSet, svbrdf: Svbrdf, opacity: NDArray | None) ->
     return _filled(svbrdf.replace(opacity=(~unused).astype(np.float32)), unused)
 
 
-def _unused(texture_set: TextureSet, size: tuple[int, int]) -> NDArray | None:
+def _unused(texture_set: TextureSet, size: tuple[int, int], unread: Collection[str]) -> NDArray | None:
     """(H, W) texels that are black in every map; None where there are none, or too few maps to tell.
 
     A black normal is no direction at all: without a normal map a black texel may be black paint.
     """
-    normal = texture_set.maps.get("normal")
-    if normal is None or "base_color" not in texture_set.maps or normal.size != size:
+    maps = {role: named for role, named in texture_set.maps.items() if role not in unread}
+    normal = maps.get("normal")
+    if normal is None or "base_color" not in maps or normal.size != size:
         return None
     if normal.encoding == "signed" or normal.info.is_float:
         return None
     unused: NDArray = np.ones(size, bool)
-    files = {(named.path, id(named.data)): named for named in texture_set.maps.values() if named.role != "opacity"}
+    files = {(named.path, id(named.data)): named for named in maps.values() if named.role != "opacity"}
     for named in sorted(files.values(), key=lambda each: each.role != "normal"):
         if named.size != size:
             return None
