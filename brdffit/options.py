@@ -196,7 +196,8 @@ def refuse_unknown(kinds: Mapping[str, type[BakeOptions]], given: Mapping[str, A
     """
     for name in given:
         if all(_find(described(kind), name) is None for kind in kinds.values()):
-            together = {key: each for kind in kinds.values() for key, each in described(kind).items()}
+            # The first method wins where several have an option of one name: the default comes first.
+            together = {key: each for kind in reversed(list(kinds.values())) for key, each in described(kind).items()}
             raise OptionError(_unknown(name, together, ", ".join(kinds)))
 
 
@@ -251,7 +252,11 @@ def _same(one: str, other: str) -> bool:
 
 def _find(known: Mapping[str, Described], name: str) -> Described | None:
     each = known.get(name.rpartition(".")[2].replace("-", "_"))
-    return each if each is not None and ("." not in name or name.replace("-", "_") == each.full_name) else None
+    return (
+        each
+        if each is not None and ("." not in name or name.replace("-", "_") == each.full_name.replace("-", "_"))
+        else None
+    )
 
 
 def _unknown(name: str, known: Mapping[str, Described], method: str) -> str:
