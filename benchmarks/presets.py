@@ -52,7 +52,7 @@ def main(arguments: list[str]) -> int:
     lines = [f"| set | preset | {' | '.join(cells)} | CPU s |", "|---|---" + "|---" * (3 * len(LEVELS) + 1) + "|"]
     sys.stdout.write("\n".join(lines) + "\n")
     for source in sets:
-        pyramid = brdffit.bake(source, method="lean", specular="held").lobes
+        pyramid = brdffit.bake(source, method="lean").lobes
         assert pyramid is not None
         sys.stdout.write("\n".join(rows(pyramid, Path(source).name, compress)) + "\n")
         sys.stdout.flush()
