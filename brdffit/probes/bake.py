@@ -72,7 +72,7 @@ class ProbeOptions:
     tolerance: float = 0.01
     samples: int = 1024
     order: int = 11
-    table: str = "ggx-quadratic-8"
+    table: str = "ggx-const-8"
     split: float | None = None
     level0: str = "copy"
     keep_narrow: bool = False

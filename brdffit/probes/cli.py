@@ -52,7 +52,7 @@ def probe() -> None:
 @click.option("--method", type=click.Choice(METHOD_NAMES), default="tree", help="How levels are filtered.")
 @click.option("--samples", type=click.IntRange(min=1), default=1024, help="Of --method importance.")
 @click.option("--order", type=click.IntRange(1, 64), default=11, help="Of --method sh.")
-@click.option("--table", default="ggx-quadratic-8", help="Of --method table: a shipped one or a file.")
+@click.option("--table", default="ggx-const-8", help="Of --method table: a shipped one or a file.")
 @click.option("--split", type=click.FloatRange(min=1.0), metavar="X", help="Take out what is X times the mean.")
 @click.option("--level0", type=click.Choice(["copy", "filter"]), default="copy", help="A mirror, or filtered too.")
 @click.option("--keep-narrow", is_flag=True, help="Sample lobes narrower than a texel at its centre only.")
