@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from brdffit.probes.cubemap import border, face_coordinates, look_up_trilinear
+from brdffit.probes.cubemap import border, face_coordinates, face_points, look_up_trilinear
 from brdffit.probes.curves import Curve
 from brdffit.probes.tree import Tree, tau_for
 
@@ -21,8 +21,8 @@ ROUGHNESSES = np.linspace(0.05, 1.0, 12)
 DIRECTIONS = 1500
 #: Error that the exact radiance may have itself.
 _EXACT = 0.001
-#: Levels of detail within an interval of levels, samples for each texel of its finer fitted level, and the fewest.
-_PLACES, _PER_TEXEL, _FEWEST = 4, 2.0, 3000
+#: Levels of detail within an interval of levels, the share of texels that each looks at, and the fewest samples.
+_PLACES, _SHARE, _FEWEST = 4, 0.5, 3000
 _REWEIGHTINGS, _STEPS, _HOLD = 4, 30, 0.02
 
 
@@ -50,6 +50,8 @@ def fitted_to_lookup(
 ) -> tuple[list[NDArray], float, float]:
     """Levels whose look-up is nearest the truth, and the mean error of the look-up before and after, held out.
 
+    Where the fit does not help, the levels are those given.
+
     Args:
         source: (6, N, N, 3) cube map that the levels come from.
         levels: exact at their texels, level 0 first, which is kept.
@@ -72,7 +74,8 @@ def fitted_to_lookup(
         count = level.shape[1] ** 2 * 6
         out.append(np.maximum(fitted[at : at + count], 0.0).reshape(level.shape).astype(np.float32))
         at += count
-    return out, before, float(lookup_errors(tree, out, curve, threads).mean())
+    after = float(lookup_errors(tree, out, curve, threads).mean())
+    return (out, before, after) if after < before else (levels, before, before)
 
 
 def _samples(tree: Tree, levels: list[NDArray], curve: Curve, threads: int) -> tuple[list, list, list]:
@@ -80,10 +83,10 @@ def _samples(tree: Tree, levels: list[NDArray], curve: Curve, threads: int) -> t
     sizes = [level.shape[1] for level in levels]
     matrices, wanted, weights = [], [], []
     for below in range(len(levels) - 1):
-        count = int(max(_PER_TEXEL * 6 * sizes[below + 1] ** 2 / _PLACES * (1 if below == 0 else 4), _FEWEST))
         for place in range(_PLACES):
             share = (place + 0.5) / _PLACES
-            at = random_directions(count, 1000 * below + place)
+            at = _jittered_directions(sizes[max(below, 1)], 1000 * below + place)
+            count = len(at)
             roughness = float(curve.roughness(np.array(below + share)))
             exact = tree.filtered(at, max(roughness**2, 1e-3), tau_for(_EXACT), threads)
             blocks: list = [sparse.csr_matrix((count, 6 * n * n)) for n in sizes]
@@ -94,6 +97,19 @@ def _samples(tree: Tree, levels: list[NDArray], curve: Curve, threads: int) -> t
             # Every roughness counts the same, however many directions it has.
             weights.append(np.full(count, 1.0 / max(float(exact.sum()), 1e-30)))
     return matrices, wanted, weights
+
+
+def _jittered_directions(n: int, seed: int) -> NDArray:
+    """Directions in random texels of a level of n^2: no lamp is missed by all, as it is by directions from anywhere."""
+    rng = np.random.default_rng(seed)
+    times = max(1, int(np.ceil(_FEWEST / (6 * n * n))))
+    wanted = np.concatenate([rng.permutation(6 * n * n) for _ in range(times)])
+    wanted = wanted[: max(int(_SHARE * len(wanted)), min(_FEWEST, len(wanted)))]
+    face, row, column = wanted // (n * n), wanted // n % n, wanted % n
+    u = 2.0 * (column + rng.random(len(wanted))) / n - 1.0
+    v = 1.0 - 2.0 * (row + rng.random(len(wanted))) / n
+    at = face_points(u, v)[face, np.arange(len(wanted))]
+    return at / np.linalg.norm(at, axis=1, keepdims=True)
 
 
 def _bilinear(direction: NDArray, n: int) -> sparse.csr_matrix:
