@@ -10,9 +10,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
+ENV ?= procedural
 TRAIN ?= data/sets/*/
 HELD_OUT ?=
-.PHONY: learn
+.PHONY: learn probe
 .PHONY: help install data bake library compare tradeoff plan view picture test test-slow bench bench-full lint clean
 .DELETE_ON_ERROR:
 
@@ -23,6 +24,7 @@ help:
 	@echo "make tradeoff    [SETS=\"folder ...\"]  what accuracy costs in time: tradeoff/tradeoff.png"
 	@echo "make compare     [SETS=\"folder ...\"]  every method against the reference, on the shipped sets: report/index.html"
 	@echo "make learn       [TRAIN=\"folder ...\"] [HELD_OUT=\"folder ...\"]  weights of the methods learned and latent: out/weights"
+	@echo "make probe       [ENV=file] [OUT=out] [OPTIONS=...]  filter an environment into a reflection probe: out/probes"
 	@echo "make plan        [SCENE=file.toml]  what a scene calls for, and what it costs"
 	@echo "make test        the quick tests, on WORKERS=2 processes; make test-slow runs those that take long"
 	@echo "make bench       speed and accuracy, the short way; make bench-full takes its time"
@@ -64,6 +66,9 @@ tradeoff: data/sets/made
 learn: data/sets/made
 	$(BIN)/brdffit learn learned $(TRAIN) $(HELD_OUT:%=--held-out %) -o out/weights/learned-ggx.npz --steps 2000
 	$(BIN)/brdffit learn latent $(TRAIN) $(HELD_OUT:%=--held-out %) -o out/weights/latent-ggx.npz --minutes 40
+
+probe: install
+	$(BIN)/brdffit probe "$(ENV)" -o "$(OUT)/probes" $(OPTIONS)
 
 plan: data/sets/made
 	$(BIN)/brdffit plan "$(SCENE)" -o "$(OUT)/plan.json" $(OPTIONS)

@@ -53,7 +53,7 @@ def test_commands_were_found():
     assert len(MAKE) + len(BRDFFIT) == len(COMMANDS)
     assert {"make bake", "make test"} <= set(MAKE)
     assert {line.split()[1] for line in BRDFFIT} == {
-        "bake", "compare", "doctor", "inspect", "landscape", "library", "methods", "models", "plan", "scene",
+        "bake", "compare", "doctor", "inspect", "landscape", "library", "methods", "models", "plan", "probe", "scene",
     }  # fmt: skip
 
 

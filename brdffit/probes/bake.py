@@ -34,7 +34,7 @@ from brdffit.probes.harmonics import irradiance_nine, nine_basis
 from brdffit.probes.parallel import default_threads
 from brdffit.probes.picture import probe_picture
 from brdffit.probes.presets import ProbePreset, get_probe_preset
-from brdffit.probes.reading import CENTRES, Surroundings, as_cube, read_surroundings, reoriented
+from brdffit.probes.reading import CENTRES, Surroundings, as_cube, is_procedural, read_surroundings, reoriented
 from brdffit.probes.sun import Sun, find_sun
 from brdffit.probes.writing import suffix_of, write_probe
 
@@ -246,7 +246,9 @@ def _within_format(
 
 def request_digest(path: Path, options: ProbeOptions) -> str:
     """A digest of an input and what is asked of it: equal digests need no new work."""
-    files = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
+    files: list[Path] = []
+    if not is_procedural(path):
+        files = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
     content = "".join(file_sha256(each) for each in files)
     asked = json.dumps([asdict(options), version("brdffit"), content], sort_keys=True)
     return hashlib.sha256(asked.encode()).hexdigest()

@@ -74,8 +74,8 @@ def filter_(
 ) -> None:  # fmt: skip
     """Filter each ENV to a stated error: levels, irradiance, the table of the split sum, a manifest, a picture.
 
-    ENV is a lat-long picture, a cross, a strip, a KTX2 or DDS cube map, a folder of six faces, or a folder of any of
-    these. What fails is named, all others are done; the exit code is then 1.
+    ENV is a lat-long picture, a cross, a strip, a KTX2 or DDS cube map, a folder of six faces, a folder of any of
+    these, or `procedural` for the one that ships. What fails is named, all others are done; the exit code is then 1.
     """
     from brdffit.probes.bake import ProbeOptions
     from brdffit.probes.shelf import bake_all

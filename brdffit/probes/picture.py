@@ -62,8 +62,9 @@ def probe_picture(probe: Probe, path: Path, tolerance: float, threads: int) -> N
 
 
 def exposure_of(cube: NDArray) -> float:
-    """What brings the bright quarter of an environment to mid grey."""
-    return 0.35 / max(float(np.percentile(cube.mean(axis=-1), 75.0)), 1e-6)
+    """What brings an environment to mid grey: its bright quarter, or its mean where lamps give most of the light."""
+    grey = cube.mean(axis=-1)
+    return 0.35 / max(float(np.percentile(grey, 75.0)), 0.7 * float(grey.mean()), 1e-6)
 
 
 def toned(radiance: NDArray, exposure: float) -> NDArray:

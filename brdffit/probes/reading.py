@@ -68,7 +68,7 @@ def read_surroundings(path: str | Path, layout: str | None = None, clamp: bool =
     """Read an environment.
 
     Args:
-        path: a picture, a KTX2 or DDS cube map, or a folder of six faces.
+        path: a picture, a KTX2 or DDS cube map, a folder of six faces, or "procedural" for the one that ships.
         layout: one of LAYOUTS; else guessed from the shape, and said in the notes.
         clamp: bring negative values and such that are not finite to 0 and to the largest finite one.
 
@@ -77,7 +77,12 @@ def read_surroundings(path: str | Path, layout: str | None = None, clamp: bool =
     """
     path = Path(path)
     notes: list[str] = []
-    if path.is_dir():
+    if is_procedural(path):
+        from brdffit.render.environment import procedural_environment
+
+        notes.append("The environment that comes with brdffit: a studio of soft boxes and lamps.")
+        pixels, layout = procedural_environment(512).radiance, "latlong"
+    elif path.is_dir():
         pixels, layout = _six_faces(path, notes), "faces"
     elif path.suffix.lower() in (".ktx2", ".ktx", ".dds"):
         from brdffit.probes.containers import read_cube_file
@@ -191,6 +196,11 @@ def _six_faces(folder: Path, notes: list[str]) -> NDArray:
             best = missing
     lacking = f"lacks the face{'s' * (len(best) > 1)} {', '.join(best)}" if best else "holds no faces of a cube"
     raise InputError(f"'{folder}' {lacking}, expected six pictures as px.hdr, nx.hdr, py.hdr, ny.hdr, pz.hdr, nz.hdr.")
+
+
+def is_procedural(path: Path) -> bool:
+    """Whether a path is no file but the name of the environment that ships."""
+    return str(path) == "procedural" and not path.exists()
 
 
 def is_folder_of_faces(folder: Path) -> bool:

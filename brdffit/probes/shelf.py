@@ -12,7 +12,7 @@ from brdffit.errors import BrdffitError, InputError
 from brdffit.probes.bake import ProbeOptions, bake_probe, request_digest
 from brdffit.probes.containers import read_cube_file
 from brdffit.probes.cubemap import mean_radiance
-from brdffit.probes.reading import as_cube, is_folder_of_faces, read_surroundings
+from brdffit.probes.reading import as_cube, is_folder_of_faces, is_procedural, read_surroundings
 from brdffit.probes.sun import find_sun
 
 _SUFFIXES = (".hdr", ".exr", ".ktx2", ".ktx", ".dds", ".png", ".jpg", ".tif", ".tiff")
@@ -24,6 +24,8 @@ def find_environments(path: Path) -> list[Path]:
     Raises:
         InputError: when it does not exist or a folder holds none.
     """
+    if is_procedural(path):
+        return [path]
     if not path.exists():
         raise InputError(f"'{path}' does not exist, expected an environment or a folder of them.")
     if not path.is_dir() or is_folder_of_faces(path):
