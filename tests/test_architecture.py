@@ -41,6 +41,16 @@ FORBIDDEN = {
     "brdffit.export": {
         "brdffit.fitting", "brdffit.halfangle", "brdffit.models", "brdffit.render", "brdffit.pipeline", "brdffit.cli"
     },
+    # Small networks know no materials; probes are a house of their own beside files and writers.
+    "brdffit.nets": {
+        "brdffit.svbrdf", "brdffit.methods", "brdffit.fitting", "brdffit.halfangle", "brdffit.textures",
+        "brdffit.render", "brdffit.learned",
+    },
+    "brdffit.learned": {"brdffit.render", "brdffit.export", "brdffit.comparison", "brdffit.report", "brdffit.probes"},
+    "brdffit.probes": {
+        "brdffit.svbrdf", "brdffit.methods", "brdffit.fitting", "brdffit.halfangle", "brdffit.textures",
+        "brdffit.render", "brdffit.comparison",
+    },
     # The geometry of a lobe is shared; what the half-angle integral is made of is not: rendering checks it.
     "brdffit.render": {
         "brdffit.fitting", "brdffit.textures", "brdffit.pipeline", "brdffit.cli", "brdffit.halfangle.apparent_lobe",
