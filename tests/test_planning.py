@@ -223,5 +223,5 @@ def test_a_comparison_simulates_what_the_plan_has_on(folder, tmp_path):
     records = json.loads((tmp_path / "r" / "records.json").read_text())
     (result,) = records["sets"]
     assert {view["lighting"] for view in result["views"]} == {"small lights"}, "there is no environment in the scene"
-    first, last = records["options"]["reach"]
+    first, last = map(int, records["options"]["reach"].split(","))
     assert all(first <= view["level"] <= last for view in result["views"] if view.get("level") is not None)

@@ -10,6 +10,7 @@ inside a box: without bounds LD_LBFGS stalls now and then and reports success.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -173,7 +174,9 @@ def compiled(kernel: Any, data: tuple, functions: tuple = ()) -> Callable:
     """The compiled function for arguments like these (and functions of these types): no dispatch is paid a call."""
     signature = (*map(numba_type, data), *functions)
     if signature not in kernel.overloads:
-        kernel.compile(signature)
+        # Numba may fail to note it in a cache that names functions of another process; it is compiled by then.
+        with contextlib.suppress(ReferenceError):
+            kernel.compile(signature)
     return kernel.get_overload(signature)
 
 

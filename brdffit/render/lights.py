@@ -25,8 +25,8 @@ class Lights:
     Attributes:
         direction: (n, 3) float32 unit vectors to the lights' middles, in the world.
         irradiance: (n, 3) float32 linear RGB on a surface that faces the light.
-        radius: (n,) float64 angular radius in radians, 0 for a point, less than pi / 2; one entry holds for all. (The
-            sun: 0.0047. A softbox of 60 cm at 3 m: 0.1.)
+        radius: (n,) float64 angular radius in radians, 0 for a point, pi / 2 for a half sky; one entry holds for all.
+            (The sun: 0.0047. A softbox of 60 cm at 3 m: 0.1.)
     """
 
     direction: NDArray
@@ -40,8 +40,8 @@ class Lights:
         if len(irradiance) != len(direction) or not len(direction) or not (length > 0.0).all():
             raise ValueError("direction and irradiance are (n, 3) with n > 0, and no direction is zero")
         radius = np.broadcast_to(np.asarray(self.radius, np.float64), len(direction))
-        if not ((radius >= 0.0) & (radius < 0.5 * math.pi)).all():
-            raise ValueError("a light's angular radius is 0 or more and less than pi / 2")
+        if not ((radius >= 0.0) & (radius <= 0.5 * math.pi)).all():
+            raise ValueError("a light's angular radius is 0 to pi / 2")
         object.__setattr__(self, "direction", (direction / length).astype(np.float32))
         object.__setattr__(self, "irradiance", irradiance)
         object.__setattr__(self, "radius", radius)
