@@ -49,7 +49,7 @@ FORBIDDEN = {
     "brdffit.learned": {"brdffit.render", "brdffit.export", "brdffit.comparison", "brdffit.report", "brdffit.probes"},
     "brdffit.probes": {
         "brdffit.svbrdf", "brdffit.methods", "brdffit.fitting", "brdffit.halfangle", "brdffit.textures",
-        "brdffit.render", "brdffit.comparison",
+        "brdffit.comparison",
     },
     # The geometry of a lobe is shared; what the half-angle integral is made of is not: rendering checks it.
     "brdffit.render": {
