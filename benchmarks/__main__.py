@@ -17,7 +17,6 @@ from benchmarks import (
     rendering,
     roofline,
     scaling,
-    seen,
     speed,
     startup,
     tolerance,
@@ -34,7 +33,6 @@ CONCERNS = (
     "tolerance",
     "effects",
     "plans",
-    "seen",
     "accuracy",
 )
 
@@ -50,7 +48,7 @@ CONCERNS = (
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("bench"), show_default=True)
 @click.option(
-    "--only", type=click.Choice(CONCERNS), multiple=True, help="Some of them (seen takes hours, and runs only so)."
+    "--only", type=click.Choice(CONCERNS), multiple=True, help="Some of them (what is seen: python -m benchmarks.seen)."
 )
 @click.option("--set", "sets", multiple=True, help="Accuracy of these sets alone.")
 def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets: tuple[str, ...]) -> None:
@@ -79,12 +77,11 @@ def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets
         "effects": lambda: effects.measure_effects(materials, quick),
         "plans": lambda: plans.measure_plans(materials, quick),
         "integrals": lambda: integrals.measure_integrals(quick),
-        "seen": lambda: seen.measure_seen(materials, quick),
         "accuracy": lambda: accuracy.measure_accuracy(materials, quick, save, sets),
     }
     output.mkdir(parents=True, exist_ok=True)
     sections: list[Section] = []
-    for name in only or [name for name in CONCERNS if name != "seen"]:
+    for name in only or CONCERNS:
         start = time.perf_counter()
         section = runs[name]()
         section.seconds = round(time.perf_counter() - start, 1)

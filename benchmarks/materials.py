@@ -17,6 +17,8 @@ from brdffit.textures.reading import read_texture_set
 #: The sets whose mean margin over LEAN and vMF is a target; the first of them are those of a quick run.
 NAMED = ("metal-plates-006", "ice-002", "white-tiles-grout", "smudged-mirror-imperfections003", "coarse-sand")
 QUICK_SETS = 3
+#: Side of the part of a set that ``crop`` takes, in texels.
+CROP = 256
 
 
 def real_sets(materials: Path) -> dict[str, Path]:
@@ -72,3 +74,29 @@ def write_tiled(source: Path, folder: Path, times: int) -> Path:
         codes = np.rint(image.pixels * top).astype(kind)
         write_png(folder / path.name, np.tile(codes, (times, times, 1)))
     return folder
+
+
+def every_set(materials: Path) -> dict[str, Path | None]:
+    """The real sets and the shipped ones, by name; the shipped ones, made anew by ``crop``, have no path."""
+    return dict(real_sets(materials)) | dict.fromkeys(SETS)
+
+
+def crop(name: str, path: Path | None, side: int = CROP) -> Svbrdf:
+    """A part of a set, ``side`` texels square (all of a smaller one); of a shipped one where there is no path.
+
+    Of the tiles of a grid it is that whose spread of normals and roughness is the median one: neither the emptiest nor
+    the busiest place of an atlas. It tiles as the set does: the seam is in every method's and the reference's picture.
+
+    Raises:
+        InputError: when the set cannot be read.
+    """
+    base = load_procedural(name, 1024) if path is None else load(path)
+    corners = [(r, c) for r in range(0, base.size[0] - side + 1, side) for c in range(0, base.size[1] - side + 1, side)]
+    if not corners:
+        return base
+    parts = [(slice(r, r + side), slice(c, c + side)) for r, c in corners]
+    spread = [
+        float(base.normal[p].var(axis=(0, 1)).sum() + base.log_roughness[p].var(axis=(0, 1)).sum()) for p in parts
+    ]
+    chosen = parts[int(np.argsort(spread, kind="stable")[len(spread) // 2])]
+    return base.replace(**{name: np.ascontiguousarray(array[chosen]) for name, array in base.arrays().items()})

@@ -1,119 +1,208 @@
-"""What the eye sees: candidates for the default of the fit against the closed forms, in every view of every set.
+"""What the eye sees: candidates for the fit's default against the closed forms, in every still view of every set.
 
-The table that the default was chosen from, losers included. Pictures and figures are those of ``brdffit compare``.
+    python -m benchmarks.seen [-o FOLDER] [--column "bfgs loss=relative"] [--set NAME] [--anew] [--summary]
+
+A column is a method with its options, as ``brdffit bake`` takes them. Everything is done on the crop of 256 x 256
+texels of ``materials.crop``, with pictures as ``brdffit compare --quick`` takes them; the reference of a set is
+rendered once and kept. Each set and column is a record of its own in FOLDER (SET/COLUMN.json, displayed pictures
+beside it), so a run that was cut off goes on where it ended, and a new candidate costs its own column alone. The
+summary is of what lies in the folder: summary.md holds the table, the losers and the losing views; worst.png the views
+in which the first column is furthest behind, beside the reference and the best.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
+import hashlib
+import json
+import re
+import time
 from pathlib import Path
+from typing import Any
 
+import click
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
-from benchmarks.materials import QUICK_SETS, real_sets
-from benchmarks.record import ROOT, Section, Target
-from brdffit.comparison.ask import Ask
-from brdffit.comparison.compare import compare
-from brdffit.report.records import Figures, SetResult
+from benchmarks.materials import crop, every_set
+from benchmarks.record import ROOT, as_markdown, machine
+from benchmarks.seen_summary import figures_table, summary
+from brdffit.comparison.surroundings import read_environment
+from brdffit.comparison.views import Still, Studio, still_views
+from brdffit.methods import Material, get_method
+from brdffit.options import make_options
+from brdffit.pipeline import Phases, ReadSet, assess, run
+from brdffit.render import lights, metrics
+from brdffit.render.reference import Reference
+from brdffit.svbrdf import Svbrdf, level_sizes
 
-FIT = "bfgs"
-CLOSED = ("lean", "vmf", "toksvig", "naive")
-#: What was tried, by the words that ``brdffit compare --methods bfgs+WORD`` takes.
-CANDIDATES = (
-    FIT, "bfgs+point", "bfgs+point+held", "bfgs+l2", "bfgs+l2+free", "bfgs+l2+held", "bfgs+held", "bfgs+relative",
-    "bfgs+lamps", "bfgs+lamps+l2", "bfgs+energy",
-)  # fmt: skip
-_SHARE, _FLIP_SHARE, _AHEAD_OF_AVERAGES = 0.9, 0.95, 0.75
-#: SNR beyond which nobody sees a difference, and the slack of a figure that counts as no worse.
-_PERFECT_DB, _SLACK_DB, _SLACK_FLIP, _SLACK_SSIM = 40.0, 1.0, 1e-3, 2e-3
-_ENERGY = (0.9, 1.1)
-
-
-def measure_seen(materials: Path, quick: bool) -> Section:
-    """Every candidate and every closed form on the real sets and the shipped ones."""
-    section = Section(
-        "seen",
-        "What is seen",
-        "Views of each set under small lights, lamps and an environment: in how many a candidate is first in SNR, more "
-        "than 1 dB behind the best closed form (below 40 dB), not behind LEAN, vMF and Toksvig in FLIP and SSIM, and "
-        "ahead of averaged maps. Energy is that of levels. The first row is the default.",
-    )
-    found: list[SetResult] = []
-    sources = [*real_sets(materials).values(), *sorted(p for p in (ROOT / "data" / "sets").glob("*") if p.is_dir())]
-    ask = Ask.of(methods=[*CANDIDATES, *CLOSED], quick=True)
-    for source in sources[:QUICK_SETS] if quick else sources:
-        # One at a time: a set's pictures are let go before the next.
-        comparison, _ = compare([source], ask)
-        found += comparison.sets
-    section.problems = [f"{each.name}: {skipped.reason}" for each in found for skipped in each.skipped]
-    section.rows = [summarise(found, name) for name in (*CANDIDATES, *CLOSED)]
-    if found:
-        section.targets = _targets(section.rows[0])
-    return section
+COLUMNS = ("bfgs", "bfgs loss=relative", "bfgs lights=point", "naive", "toksvig", "vmf", "lean")
+"""The first is the default that is judged."""
+#: Side of the pictures, two thirds of it under lights that have a size.
+_PIXELS = 96
+#: Shown in worst.png.
+_WORST = 12
 
 
-def summarise(sets: list[SetResult], name: str) -> dict[str, object]:
-    """One row: how often a method is first, not behind or ahead, its means, and its worst view."""
-    counts: dict[str, int] = defaultdict(int)
-    means: dict[str, list[float]] = defaultdict(list)
-    worst, worst_view = np.inf, ""
-    for each in sets:
-        for view in each.views:
-            shots = {shot.method: shot.figures for shot in view.shots if shot.figures is not None}
-            if name not in shots or not all(other in shots for other in CLOSED):
-                continue
-            mine, others = shots[name], [shots[other] for other in CLOSED if other != name]
-            closed = [shots[other] for other in CLOSED[:3] if other != name]
-            _count(counts, mine, others, closed, shots["naive"])
-            means["SNR"].append(min(mine.snr_db, _PERFECT_DB))
-            means["FLIP"].append(mine.flip_ldr)
-            means["SSIM"].append(mine.ssim)
-            behind = mine.snr_db - max(other.snr_db for other in others)
-            if behind < worst:
-                worst, worst_view = behind, f"{each.name}, {view.key}"
-    energy = [
-        level.energy_kept
-        for each in sets
-        for method in each.methods
-        for level in method.levels
-        if method.method == name and level.energy_kept is not None
-    ]
-    views = counts.pop("views", 0)
-    return {
-        "method": name, "views": views, **{k: counts[k] for k in ("first", "1 dB behind", "FLIP", "SSIM")},
-        "FLIP ahead of averages": counts["averages"],
-        **{f"mean {key}": float(np.mean(values)) for key, values in means.items()},
-        "least energy": min(energy, default=float("nan")), "most energy": max(energy, default=float("nan")),
-        "worst": f"{worst:.1f} dB ({worst_view})",
-    }  # fmt: skip
+class Bench:
+    """One set: its crop, its references (kept on disk), and the columns of its table."""
+
+    def __init__(self, name: str, path: Path | None, folder: Path, threads: int | None) -> None:
+        self.name, self.folder, self.threads = name, folder / name, threads
+        self.base = crop(name, path).over_black()
+        self.studio = Studio(
+            pixels=_PIXELS, frames=1, samples="draft", environment=read_environment(None), lights=lights.few(),
+            threads=threads,
+        )  # fmt: skip
+        self.views = still_views(self.base.size, len(level_sizes(self.base.size)), self.studio)
+
+    def references(self) -> dict[str, Reference]:
+        """Pictures by the reference of each view, from disk where they are."""
+        path = self.folder / "references.npz"
+        digest = _digest(self.base)
+        if path.is_file():
+            with np.load(path) as kept:
+                if str(kept["digest"]) == digest:
+                    return {view.key: Reference(kept[view.key].mean(axis=0), kept[view.key]) for view in self.views}
+        found = {view.key: self.studio.reference(self.base, view.scene, view.lit) for view in self.views}
+        self.folder.mkdir(parents=True, exist_ok=True)
+        halves: dict[str, Any] = {key: each.halves for key, each in found.items()}
+        np.savez(path, digest=digest, **halves)
+        save_pictures(self.folder / "reference.npz", {k: _displayed(v.radiance, v) for k, v in found.items()})
+        return found
+
+    def measure(self, column: str) -> dict[str, Any]:
+        """A column's record: figures of each view, energy of each level, seconds of the fit."""
+        name, options = _asked(column)
+        method = get_method(name)
+        phases, material = Phases(), Material(self.base)
+        baked = run(ReadSet(self.name, material), method, make_options(method.options, options, f"'{name}'"), phases)
+        pictures, views = {}, {}
+        for view in self.views:
+            views[view.key], pictures[view.key] = self._figures(baked.appearance, view)
+        save_pictures(self.folder / f"{slug(column)}.npz", pictures)
+        energy = [level["energy_kept"] for level in assess(material, baked) if level]
+        return {
+            "set": self.name, "column": column, "seconds": round(phases.seconds["fitting"], 2), "energy": energy,
+            "views": views, "machine": machine(),
+        }  # fmt: skip
+
+    def _figures(self, appearance: Any, view: Still) -> tuple[dict[str, float], NDArray]:
+        reference = self.references_of_set[view.key]
+        halves = self.studio.method(appearance, view.scene, view.lit)
+        picture = halves.mean(axis=0)
+        shown, truth = _displayed(picture, reference), _displayed(reference.radiance, reference)
+        snr = metrics.snr_db_of_halves(halves, reference.halves)
+        return {
+            "snr": float(np.clip(np.nan_to_num(snr, nan=-99.0), -99.0, 99.0)),
+            "flip": metrics.flip_ldr(shown, truth),
+            "ssim": metrics.ssim(shown, truth),
+            "energy": metrics.energy_kept(picture, reference.radiance),
+            "displayed": float(np.abs(shown - truth).mean()),
+        }, shown
+
+    def run(self, columns: tuple[str, ...], anew: bool) -> None:
+        """Those columns that are not on disk, or all of them anew."""
+        todo = [c for c in columns if anew or not (self.folder / f"{slug(c)}.json").is_file()]
+        if not todo:
+            return
+        self.references_of_set = self.references()
+        for column in todo:
+            start = time.perf_counter()
+            record = self.measure(column)
+            (self.folder / f"{slug(column)}.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+            click.echo(f"{self.name}: {column}, {time.perf_counter() - start:.0f} s", err=True)
 
 
-def _count(
-    counts: dict[str, int], mine: Figures, others: list[Figures], closed: list[Figures], averages: Figures
+def slug(column: str) -> str:
+    """A column's name as that of a file."""
+    return re.sub(r"[^a-z0-9.,:]+", "-", column.lower()).replace(":", "_")
+
+
+def save_pictures(path: Path, pictures: dict[str, NDArray]) -> None:
+    """Displayed pictures as uint8, by view."""
+    shown: dict[str, Any] = {k: np.rint(255.0 * np.nan_to_num(p)).astype(np.uint8) for k, p in pictures.items()}
+    np.savez_compressed(path, **shown)
+
+
+def read_records(folder: Path) -> list[dict[str, Any]]:
+    """Every record that lies in a folder."""
+    return [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*/*.json"))]
+
+
+def draw_worst(folder: Path, losing: list[dict[str, Any]], columns: list[str], path: Path, most: int = _WORST) -> None:
+    """Losing views, a row each: the reference, then every column, under one line of words."""
+    rows = []
+    for each in losing[:most]:
+        names = ["reference", *columns]
+        tiles = []
+        for name in names:
+            with np.load(folder / each["set"] / f"{slug(name)}.npz") as kept:
+                tiles.append(Image.fromarray(kept[each["view"]]).resize((192, 192), Image.Resampling.NEAREST))
+        row = Image.new("RGB", (196 * len(names), 212))
+        ImageDraw.Draw(row).text((2, 0), f"{each['set']}, {each['view']}: " + ", ".join(names), fill="white")
+        for i, tile in enumerate(tiles):
+            row.paste(tile, (196 * i, 16))
+        rows.append(row)
+    if rows:
+        sheet = Image.new("RGB", (rows[0].width, 212 * len(rows)))
+        for i, row in enumerate(rows):
+            sheet.paste(row, (0, 212 * i))
+        sheet.save(path)
+
+
+def _asked(column: str) -> tuple[str, dict[str, str]]:
+    name, *words = column.split()
+    return name, dict(word.split("=", 1) for word in words)
+
+
+def _displayed(picture: NDArray, reference: Reference) -> NDArray:
+    return metrics.tone_map(picture, metrics.exposure_of(reference.radiance))
+
+
+def _digest(base: Svbrdf) -> str:
+    digest = hashlib.sha256()
+    for name, array in sorted(base.arrays().items()):
+        digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+@click.command()
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("bench/seen"), show_default=True)
+@click.option(
+    "--materials",
+    type=click.Path(path_type=Path),
+    default=ROOT.parent / "shared" / "materials",
+    show_default=True,
+    help="Folder of real texture sets; the shipped ones are always measured.",
+)
+@click.option("--column", "columns", multiple=True, help="These columns alone; the first is the one that is judged.")
+@click.option("--set", "names", multiple=True, help="These sets alone.")
+@click.option("--anew", is_flag=True, help="Measure columns again that are on disk.")
+@click.option("--summary", "only_summary", is_flag=True, help="Measure nothing.")
+@click.option("--threads", type=int, default=None)
+def main(
+    output: Path,
+    materials: Path,
+    columns: tuple[str, ...],
+    names: tuple[str, ...],
+    anew: bool,
+    only_summary: bool,
+    threads: int | None,
 ) -> None:
-    best = max(other.snr_db for other in others)
-    counts["views"] += 1
-    counts["first"] += mine.snr_db >= best
-    counts["1 dB behind"] += best < _PERFECT_DB and mine.snr_db < best - _SLACK_DB
-    counts["FLIP"] += mine.flip_ldr <= min(other.flip_ldr for other in closed) + _SLACK_FLIP
-    counts["SSIM"] += mine.ssim >= max(other.ssim for other in closed) - _SLACK_SSIM
-    counts["averages"] += mine.flip_ldr <= averages.flip_ldr
+    """Measure what is not on disk, then write summary.md and worst.png."""
+    for name, path in {} if only_summary else every_set(materials).items():
+        if not names or name in names:
+            Bench(name, path, output, threads).run(columns or COLUMNS, anew)
+    records = read_records(output)
+    judged = columns[0] if columns else COLUMNS[0]
+    section, losing = summary(records, judged)
+    text = as_markdown(machine(), [section]) + "\n" + "\n".join(figures_table(losing)) + "\n"
+    (output / "summary.md").write_text(text, encoding="utf-8")
+    shown = [judged, *(c for c in ("naive", "lean", "vmf") if any(r["column"] == c for r in records))]
+    draw_worst(output, losing, shown, output / "worst.png")
+    click.echo(text)
 
 
-def _targets(row: dict) -> list[Target]:
-    views = max(row["views"], 1)
-
-    def share(name: str, key: str, least: float) -> Target:
-        found = row[key] / views
-        return Target(name, f">= {least:.0%}", f"{row[key]} of {row['views']}", found >= least)
-
-    low, high = row["least energy"], row["most energy"]
-    return [
-        share("first in SNR", "first", _SHARE),
-        Target("views more than 1 dB behind", "0", str(row["1 dB behind"]), row["1 dB behind"] == 0),
-        share("not behind in FLIP", "FLIP", _FLIP_SHARE),
-        share("not behind in SSIM", "SSIM", _FLIP_SHARE),
-        share("ahead of averaging in FLIP", "FLIP ahead of averages", _AHEAD_OF_AVERAGES),
-        Target("energy of every level", "0.9 to 1.1", f"{low:.2f} to {high:.2f}",
-               _ENERGY[0] <= low and high <= _ENERGY[1]),
-    ]  # fmt: skip
+if __name__ == "__main__":
+    main()

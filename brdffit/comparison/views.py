@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +118,37 @@ def distances_of(
     return {name: min(level, last) for name, level in DISTANCES.items()}
 
 
+class Still(NamedTuple):
+    """A still view: what is seen, at which level (None: several) and distance ("" where that is not one of them), and
+    what lights it."""
+
+    key: str
+    group: str
+    title: str
+    scene: Scene
+    lit: str
+    distance: str = ""
+    level: float | None = None
+
+
+def still_views(base_size: tuple[int, int], depth: int, studio: Studio) -> list[Still]:
+    """The still views of a base (h, w) of ``depth`` levels: near, mid and far by each light, slanted, and a sphere."""
+    levels = distances_of(base_size, depth, studio.reach)
+    main, last = studio.lit[0], studio.lit[-1]
+    views = []
+    for lit in studio.lit:
+        for distance, level in levels.items():
+            scene, title = scenes.plane(base_size, level, _pixels(studio, lit)), f"Plane, {distance} (level {level})"
+            key = f"{distance}-{_slug(lit)}"
+            views.append(Still(key, "distance", f"{title}, {lit}", scene, lit, distance, float(level)))
+    slanted = scenes.slanted(base_size, (studio.pixels, studio.pixels))
+    # Level 2, where bumps have become gloss but not yet all; held to what there is.
+    sphere = scenes.sphere(base_size, min(max(2, levels["near"]), levels["far"]), _pixels(studio, ENVIRONMENT))
+    for scene, lit, title in ((slanted, main, "Slanted plane through all levels"), (sphere, last, "Sphere")):
+        views.append(Still(scene.name, "scene", f"{title}, {lit}", scene, lit, "", scene.level))
+    return views
+
+
 def all_views(
     base: Svbrdf, pyramids: Drawn, kept: Pyramids, depth: int, studio: Studio, told: Told = lambda what: None
 ) -> Iterator[tuple[View, dict[str, NDArray]]]:
@@ -130,40 +161,36 @@ def all_views(
         depth: how many levels all of them have.
         studio: pixels, lights and samples.
     """
-    levels = distances_of(base.size, depth, studio.reach)
-    near, main = levels["near"], studio.lit[0]
-    pixels = (studio.pixels, studio.pixels)
-    small = (studio.pixels * 2 // 3,) * 2  # a pixel under light that has a size costs ten times as much
+    near, main = distances_of(base.size, depth, studio.reach)["near"], studio.lit[0]
+    views = still_views(base.size, depth, studio)
     first: dict[str, NDArray] = {}  # what half a pixel is held against
-    for lit in studio.lit:
-        for distance, level in levels.items():
-            told(f"{distance}, {lit}")
-            scene = scenes.plane(base.size, level, pixels if lit == SMALL_LIGHTS else small)
-            shown = {**pyramids, **kept} if level == 0 else pyramids
-            taken = _take(base, shown, scene, lit, studio)
-            if distance == "near" and lit == main:
-                first = taken.pictures()
-            title = f"Plane, {distance} (level {level}), {lit}"
-            view = _view(f"{distance}-{_slug(lit)}", "distance", title, lit, taken, distance, float(level))
-            yield view, _displayed(taken.pictures(), view.exposure)
+    for still in (each for each in views if each.group == "distance"):
+        told(f"{still.distance}, {still.lit}")
+        taken = _take(base, {**pyramids, **kept} if still.level == 0 else pyramids, still.scene, still.lit, studio)
+        if still.distance == "near" and still.lit == main:
+            first = taken.pictures()
+        view = _view(still, taken)
+        yield view, _displayed(taken.pictures(), view.exposure)
 
     told("half a pixel")
     shown = {**pyramids, **kept} if near == 0 else pyramids
-    moved = scenes.plane(base.size, near, pixels if main == SMALL_LIGHTS else small, shift=_HALF_PIXEL)
+    moved = scenes.plane(base.size, near, _pixels(studio, main), shift=_HALF_PIXEL)
     yield _shift_view(first, _take(base, shown, moved, main, studio).pictures(), near, main)
 
     told("slow rotation")
     yield _rotation_view(base, shown, studio, near)
 
-    for scene, lit, title in (
-        (scenes.slanted(base.size, pixels), main, "Slanted plane through all levels"),
-        # Level 2, where bumps have become gloss but not yet all; held to what there is.
-        (scenes.sphere(base.size, min(max(2, near), levels["far"]), small), studio.lit[-1], "Sphere"),
-    ):
-        told(scene.name)
-        taken = _take(base, pyramids, scene, lit, studio)
-        view = _view(scene.name, "scene", f"{title}, {lit}", lit, taken, "", scene.level)
+    for still in (each for each in views if each.group == "scene"):
+        told(still.scene.name)
+        taken = _take(base, pyramids, still.scene, still.lit, studio)
+        view = _view(still, taken)
         yield view, _displayed(taken.pictures(), view.exposure)
+
+
+def _pixels(studio: Studio, lit: str) -> tuple[int, int]:
+    """Of a still picture: a pixel under light that has a size costs ten times as much."""
+    side = studio.pixels if lit == SMALL_LIGHTS else studio.pixels * 2 // 3
+    return side, side
 
 
 def figures_of(picture: NDArray, reference: Reference, exposure: float) -> Figures:
@@ -206,7 +233,7 @@ def _take(base: Svbrdf, pyramids: Drawn, scene: Scene, lit: str, studio: Studio)
     return _Taken(studio.reference(base, scene, lit), methods)
 
 
-def _view(key: str, group: str, title: str, lit: str, taken: _Taken, distance: str, level: float | None) -> View:
+def _view(still: Still, taken: _Taken) -> View:
     """The record of a still view; names of pictures are keys for now, paths later."""
     exposure = metrics.exposure_of(taken.reference.radiance)
     with ThreadPoolExecutor() as pool:  # FLIP, the longest, lets others work meanwhile
@@ -215,8 +242,8 @@ def _view(key: str, group: str, title: str, lit: str, taken: _Taken, distance: s
             Shot(method=name, picture=name, figures=each) for name, each in zip(taken.methods, figures, strict=True)
         ]
     return View(
-        key=key, group=group, title=title, lighting=lit, distance=distance, level=level, exposure=exposure,
-        reference="reference", shots=shots,
+        key=still.key, group=still.group, title=still.title, lighting=still.lit, distance=still.distance,
+        level=still.level, exposure=exposure, reference="reference", shots=shots,
     )  # fmt: skip
 
 

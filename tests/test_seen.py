@@ -1,0 +1,82 @@
+"""The table of what is seen: counts follow figures, crops are parts of their set, records are read back."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+sys.path.insert(0, str(Path(__file__).parent.parent))  # the benchmarks are not installed
+
+from benchmarks import materials, seen
+from benchmarks.seen_summary import summary, verdicts
+from brdffit.textures.procedural import make_set
+
+
+def figures(snr=20.0, flip=0.1, ssim=0.9, energy=1.0):
+    return {"snr": snr, "flip": flip, "ssim": ssim, "energy": energy, "displayed": 0.05}
+
+
+def view(**changed):
+    """Figures of every column of a view, alike but for those that are told."""
+    return {name: figures() for name in ("bfgs", "lean", "vmf", "toksvig", "naive")} | changed
+
+
+def test_a_view_is_held_against_filters_and_averages_apart():
+    reached = verdicts(view(bfgs=figures(flip=0.09), naive=figures(flip=0.05)), "bfgs")
+    assert reached["first"] and reached["FLIP"] and not reached["FLIP of averages"]
+    reached = verdicts(view(lean=figures(snr=22.0)), "bfgs")
+    assert not reached["first"] and reached["1 dB behind"]
+    # Nobody sees what is beyond 40 dB.
+    reached = verdicts(view(bfgs=figures(snr=41.0), lean=figures(snr=55.0)), "bfgs")
+    assert reached["first"] and not reached["1 dB behind"]
+
+
+def test_the_summary_counts_and_names_the_losers():
+    views = {"near": view(bfgs=figures(snr=30.0)), "far": view(bfgs=figures(snr=15.0, ssim=0.5))}
+    records = [
+        {"set": "a", "column": name, "seconds": 1.0, "energy": [1.0, 0.8],
+         "views": {key: each[name] for key, each in views.items()}}
+        for name in view()
+    ]  # fmt: skip
+    section, losing = summary(records, "bfgs")
+    row = section.rows[0]
+    assert (row["column"], row["views"], row["first"], row["1 dB behind"]) == ("bfgs", 2, 1, 1)
+    assert row["levels kept"] == "1 of 2" and row["least energy"] == 0.8
+    assert [(each["view"], each["dB"]) for each in losing] == [("far", -5.0)]
+    assert {target.name: target.passed for target in section.targets}["energy of every level"] is False
+
+
+def test_a_crop_is_a_part_of_its_set(tmp_path):
+    folder = make_set("hammered-metal", tmp_path / "set", 64)
+    whole, part = materials.load(folder), materials.crop("a", folder, 16)
+    assert part.size == (16, 16)
+    rows = [r for r in range(0, 64, 16) for c in range(0, 64, 16)
+            if np.array_equal(whole.normal[r : r + 16, c : c + 16], part.normal)]  # fmt: skip
+    assert len(rows) == 1
+    assert materials.crop("a", folder, 128).size == (64, 64)
+
+
+@pytest.fixture
+def small(monkeypatch, tmp_path):
+    folder = make_set("glossy-tiles", tmp_path / "set", 16)
+    monkeypatch.setattr(seen, "every_set", lambda materials: {"tiles": folder})
+    monkeypatch.setattr(seen, "_PIXELS", 12)
+    return tmp_path / "out"
+
+
+def test_a_run_goes_on_where_it_ended(small):
+    def run(*arguments):
+        result = CliRunner().invoke(seen.main, ["-o", str(small), "--threads", "1", *arguments])
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    run("--column", "naive", "--column", "lean")
+    first = {path.name: path.read_bytes() for path in (small / "tiles").iterdir()}
+    text = run("--column", "naive", "--column", "vmf", "--column", "toksvig", "--column", "lean")
+    assert all((small / "tiles" / name).read_bytes() == before for name, before in first.items())
+    record = json.loads((small / "tiles/vmf.json").read_text())
+    assert len(record["views"]) == 11 and len(record["energy"]) == 5
+    assert "What is seen" in text and (small / "summary.md").is_file()
