@@ -25,6 +25,8 @@ _KERNEL_ROOMS = {
     "nets": ("nets",),
     "learned": ("models", "halfangle", "fitting", "nets", "learned"),
     "probes": ("probes/kernels",),
+    "microgeometry": ("models", "halfangle", "microgeometry", "microgeometry/kernels"),
+    "neural": ("nets", "neural/kernels"),
 }
 
 

@@ -117,6 +117,73 @@ def leak(typing_context, value, like, slope):  # type: ignore[no-untyped-def]
     return vector(vector, vector, types.float32), generate
 
 
+@intrinsic
+def subtract(typing_context, a, b):  # type: ignore[no-untyped-def]
+    """a - b."""
+    return vector(vector, vector), lambda context, builder, signature, arguments: builder.fsub(*arguments)
+
+
+@intrinsic
+def multiply(typing_context, a, b):  # type: ignore[no-untyped-def]
+    """a * b."""
+    return vector(vector, vector), lambda context, builder, signature, arguments: builder.fmul(*arguments)
+
+
+@intrinsic
+def multiply_add(typing_context, a, b, c):  # type: ignore[no-untyped-def]
+    """a * b + c, rounded once."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return _fused(builder, *arguments)
+
+    return vector(vector, vector, vector), generate
+
+
+@intrinsic
+def halves(typing_context, a, b):  # type: ignore[no-untyped-def]
+    """The vector of 8 times the scalar a, then 8 times the scalar b."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        both = [builder.insert_element(ir.Constant(_LLVM_VECTOR, ir.Undefined), arguments[0], ir.Constant(_INT, 0))]
+        both.append(builder.insert_element(both[0], arguments[1], ir.Constant(_INT, 1)))
+        order = [0] * (LANES // 2) + [1] * (LANES // 2)
+        return _shuffled(builder, both[1], order)
+
+    return vector(types.float32, types.float32), generate
+
+
+@intrinsic
+def add_halves(typing_context, a):  # type: ignore[no-untyped-def]
+    """a[i] + a[(i + 8) % 16] in each lane i."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return _rotated_sum(builder, arguments[0], LANES // 2)
+
+    return vector(vector), generate
+
+
+@intrinsic
+def total(typing_context, a):  # type: ignore[no-untyped-def]
+    """The sum of the lanes, a scalar."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        value, step = arguments[0], LANES // 2
+        while step:
+            value, step = _rotated_sum(builder, value, step), step // 2
+        return builder.extract_element(value, ir.Constant(_INT, 0))
+
+    return types.float32(vector), generate
+
+
+def _shuffled(builder: Any, value: Any, order: list[int]) -> Any:
+    lanes = ir.Constant(ir.VectorType(_INT, LANES), order)
+    return builder.shuffle_vector(value, ir.Constant(_LLVM_VECTOR, ir.Undefined), lanes)
+
+
+def _rotated_sum(builder: Any, value: Any, step: int) -> Any:
+    return builder.fadd(value, _shuffled(builder, value, [(i + step) % LANES for i in range(LANES)]))
+
+
 def _tile(rows: int) -> tuple[Any, Any, Any, Any]:
     """The operations on a tile of so many vectors: (repeated, loaded, multiply_add, stored)."""
     tile = types.UniTuple(vector, rows)
@@ -182,3 +249,5 @@ PIXELS = 8
 repeated8, loaded8, multiply_add8, stored8 = _tile(PIXELS)
 #: The rows of one 16 x 16 block of a weight gradient.
 _, loaded16, multiply_add16, stored16 = _tile(LANES)
+#: Half the rows of a weight gradient of 25 inputs and their bias.
+_, loaded13, multiply_add13, stored13 = _tile(13)
