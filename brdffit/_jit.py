@@ -25,7 +25,7 @@ _KERNEL_ROOMS = {
     "nets": ("nets",),
     "learned": ("models", "halfangle", "fitting", "nets", "learned"),
     "probes": ("probes/kernels",),
-    "microgeometry": ("models", "halfangle", "microgeometry", "microgeometry/kernels"),
+    "microgeometry": ("models", "halfangle", "render", "microgeometry/kernels"),
     "neural": ("nets", "neural/kernels"),
 }
 

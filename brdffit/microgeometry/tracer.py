@@ -1,0 +1,121 @@
+"""A traced surface as a truth that pictures are compared with, and as a source of queries."""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.microgeometry.heightfield import HeightField
+from brdffit.microgeometry.kernels.paths import reflect_rows
+from brdffit.render._packing import shading_kernels
+from brdffit.render.terms import Terms
+from brdffit.svbrdf import Svbrdf
+
+#: Samples of one piece of work.
+_PIECE = 8192
+
+
+@dataclass(frozen=True)
+class Effects:
+    """What is traced; what is off costs nothing.
+
+    Attributes:
+        displacement: the point seen is where the ray meets the surface, with parallax and masking; off: the point of
+            the surface at the position on the plane.
+        shadowing: a point that the surface hides from the light is dark.
+        bounces: how often light may go from the surface to itself.
+    """
+
+    displacement: bool = True
+    shadowing: bool = True
+    bounces: int = 0
+
+
+#: With none of them a surface reflects what its maps do.
+NO_EFFECTS = Effects(False, False, 0)
+
+
+class Microgeometry:
+    """A material whose height map is its surface: a ``Truth``, and a ``QuerySource``.
+
+    A position (column, row) is a point u of the reference plane, at the mean height; what is seen there is what the
+    viewer's ray through u meets. Estimates are of one sample, unbiased, and the same for any number of threads.
+    """
+
+    def __init__(
+        self,
+        field: HeightField,
+        effects: Effects = Effects(),
+        *,
+        light_size: float = 0.0,
+        terms: Terms = Terms(),  # noqa: B008
+        threads: int | None = None,
+    ):
+        """Trace ``field`` with some effects.
+
+        Args:
+            light_size: angular diameter of the lights in degrees; a disc of even radiance, 0 a point.
+            terms: terms of the BRDF.
+            threads: worker threads; None takes one a core.
+        """
+        self.field = field
+        self.effects = effects
+        self.light_size = light_size
+        self.threads = threads or os.cpu_count() or 1
+        self._kernels = shading_kernels(field.packed.model, terms)
+
+    @classmethod
+    def of(cls, svbrdf: Svbrdf, effects: Effects = Effects(), **options: Any) -> Microgeometry:
+        """That of a material with a height map; see ``HeightField.of`` for what is refused."""
+        return cls(HeightField.of(svbrdf), effects, **options)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) in texels."""
+        return self.field.size
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences for the user."""
+        return self.field.notes
+
+    def reflect(self, position: NDArray, view: NDArray, light: NDArray, seed: int) -> NDArray:
+        """See ``brdffit.appearance.Truth``: (n, 3) float32, the BRDF times the cosine, seen through the plane."""
+        return self._trace(position, np.zeros(len(position)), light, view, seed)
+
+    def query(self, position: NDArray, sigma: NDArray, light: NDArray, view: NDArray, seed: int) -> NDArray:
+        """See ``queries.QuerySource``."""
+        found = self._trace(position, sigma, light, view, seed)
+        # Irradiance 1 on the plane.
+        return found / np.maximum(np.asarray(light, np.float32)[:, 2:], np.float32(1e-4))
+
+    def _trace(self, position: NDArray, sigma: NDArray, light: NDArray, view: NDArray, seed: int) -> NDArray:
+        count = len(position)
+        arrays = [np.ascontiguousarray(each, np.float64) for each in (position, sigma, light, view)]
+        out = np.empty((count, 3), np.float32)
+        field, packed, effects = self.field, self.field.packed, self.effects
+        cap = 1.0 - math.cos(math.radians(0.5 * self.light_size))
+
+        def work(first: int) -> None:
+            rows = slice(first, min(first + _PIECE, count))
+            reflect_rows(
+                field.height, field.maxima, field.levels, packed.texels, packed.levels[0], packed.roughness_kind,
+                packed.has_shape, field.shading == "geometry", field.reference, effects.displacement,
+                effects.shadowing, effects.bounces, cap, *(each[rows] for each in arrays), np.uint64(seed), first,
+                out[rows], *self._kernels,
+            )  # fmt: skip
+
+        pieces = range(0, count, _PIECE)
+        if len(pieces) < 2 or self.threads < 2:
+            for first in pieces:
+                work(first)
+        else:
+            with ThreadPoolExecutor(self.threads) as pool:
+                list(pool.map(work, pieces))
+        return out
