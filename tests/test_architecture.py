@@ -46,6 +46,8 @@ FORBIDDEN = {
         "brdffit.svbrdf", "brdffit.methods", "brdffit.fitting", "brdffit.halfangle", "brdffit.textures",
         "brdffit.render", "brdffit.learned",
     },
+    # A neural material learns from whatever answers queries, and draws through the renderer.
+    "brdffit.neural": {"brdffit.fitting", "brdffit.halfangle", "brdffit.export", "brdffit.comparison"},
     "brdffit.learned": {"brdffit.render", "brdffit.export", "brdffit.comparison", "brdffit.report", "brdffit.probes"},
     "brdffit.probes": {
         "brdffit.svbrdf", "brdffit.methods", "brdffit.fitting", "brdffit.halfangle", "brdffit.textures",

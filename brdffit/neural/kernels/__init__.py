@@ -1,0 +1,1 @@
+"""Compiled loops of the neural material: layers, textures, one step of training, evaluation."""

@@ -1,0 +1,294 @@
+"""One block of queries through the whole material, forward and backward (Kuznetsov et al. 2021, equation 8).
+
+    r = F_off(T_off(u), v),     u' = u + r H(v),     H(v) = reach (v_x, -v_y) / max(v_z, 0.6),
+    f = P(u', level),           o = F(f, directions),      p = (exp(o_c) - 1) (0.1 + sigmoid(o_{3 + c})),  c = r, g, b.
+
+Rows of textures go down, +Y up: hence the sign. The factor of the sigmoid is the "shadow mask" of the authors' code.
+
+Directions, either as printed: (l_x, l_y, v_x, v_y); or seen from a tilt t = (f_0, f_1) that the texel learns, so that
+a sharp lobe has a simple place: with the half vector h, u = h_xy + t h_z and g = u_x^2 + u_y^2,
+
+    (2 u_x, 2 u_y, v_x, v_y, -ln(g + 0.001) / 4, l_z - t . l_xy, v_z - t . v_xy):
+
+u is 0 where h is the normal of slopes t, a lobe of GGX is a power of alpha^2 + g, and the last two are cosines to that
+normal, up to its length. By t: du = h_z dt, d(l_z - t . l_xy) = -l_xy dt.
+
+Losses of a channel, with target y: (ln(1 + p) - ln(1 + y))^2 as the paper, with p at least -0.2; or its linearised
+form (p - y)^2 / (1 + p)^2 with the denominator held, whose gradient at p = E[y] has the mean 0 whatever the noise of
+y: one sample of a target is enough, where the logarithm's fixed point lies below the mean.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from brdffit._jit import inline, kernel
+from brdffit.neural.kernels.dense import (
+    MATRIX,
+    NARROW,
+    PITCH,
+    ROWS,
+    TRANSPOSED,
+    UNITS,
+    backward,
+    forward,
+    rectify_back,
+    transpose,
+    weigh_hidden,
+    weigh_inputs,
+)
+from brdffit.neural.kernels.textures import CHANNELS, by_position, interpolate, scatter, spread
+
+_F = np.float32
+#: Columns of a query: x, y in texels of level 0, level, light x and y, view x and y, and one that is not read.
+QUERY = 8
+#: Layers of each network.
+LAYERS = 4
+#: Outputs of the decoder: three colours, three masks.
+OUTPUTS = 6
+#: Inputs of the offset network.
+OFFSET_INPUTS = CHANNELS + 2
+#: Inputs of the decoder as printed, and seen from a learned tilt.
+PLAIN_INPUTS, TILTED_INPUTS = CHANNELS + 4, CHANNELS + 7
+_STEEPEST_VIEW = _F(0.6)
+_LEAST_MASK = _F(0.1)
+_NARROWEST = _F(0.001)
+_LEAST = _F(-0.2)
+
+
+@inline
+def _z(x, y):
+    return math.sqrt(max(_F(1.0) - x * x - y * y, _F(0.0)))
+
+
+@inline
+def _sigmoid(x):
+    return _F(1.0) / (_F(1.0) + math.exp(-x))
+
+
+@inline
+def _bounded(x):
+    """What is exponentiated: within what colours need."""
+    return min(max(x, _F(-3.0)), _F(7.0))
+
+
+@kernel
+def offset_block(network, texture, rooms, queries, start, reach, inputs, hidden, out, shift, places, kept):
+    """Where a block reads the pyramid: ``shift`` (2 * ROWS), in texels of level 0; ``reach`` = (x, y) of r = 1."""
+    one, zero = _F(1.0), _F(0.0)
+    for i in range(2 * ROWS):
+        shift[i] = zero
+    interpolate(texture, rooms, 1, queries, start, shift, inputs, places, kept)
+    for i in range(ROWS):
+        at = i * NARROW
+        inputs[at + CHANNELS], inputs[at + CHANNELS + 1] = queries[start + i, 5], queries[start + i, 6]
+        inputs[at + OFFSET_INPUTS] = one
+        for k in range(OFFSET_INPUTS + 1, NARROW):
+            inputs[at + k] = zero
+    forward(network, 0, OFFSET_INPUTS, 2, inputs, NARROW, hidden[0], PITCH, zero)
+    forward(network, MATRIX, UNITS, 2, hidden[0], PITCH, hidden[1], PITCH, zero)
+    forward(network, 2 * MATRIX, UNITS, 2, hidden[1], PITCH, hidden[2], PITCH, zero)
+    forward(network, 3 * MATRIX, UNITS, 1, hidden[2], PITCH, out, NARROW, one)
+    for i in range(ROWS):
+        vx, vy = queries[start + i, 5], queries[start + i, 6]
+        depth = out[i * NARROW] / max(_z(vx, vy), _STEEPEST_VIEW)
+        shift[2 * i], shift[2 * i + 1] = reach[0] * depth * vx, -reach[1] * depth * vy
+
+
+@kernel
+def offset_back(
+    transposed, texture_gradient, gradient, queries, start, reach, inputs, hidden, d_shift, places, kept, d_hidden,
+    d_inputs, d_out,
+):  # fmt: skip
+    """Add the gradients of the offset network and of its texture, from dL/dshift."""
+    for i in range(ROWS):
+        vx, vy = queries[start + i, 5], queries[start + i, 6]
+        by_depth = reach[0] * vx * d_shift[2 * i] - reach[1] * vy * d_shift[2 * i + 1]
+        d_out[i * NARROW] = by_depth / max(_z(vx, vy), _STEEPEST_VIEW)
+        for k in range(1, NARROW):
+            d_out[i * NARROW + k] = _F(0.0)
+    chain_back(transposed, gradient, 1, inputs, hidden, d_out, d_hidden, d_inputs)
+    spread(d_inputs)
+    scatter(texture_gradient, 1, d_inputs, places, kept)
+
+
+@kernel
+def chain_back(transposed, gradient, outs, inputs, hidden, d_out, d_hidden, d_inputs):
+    """Backward through the four layers of either network."""
+    weigh_hidden(gradient, 3 * MATRIX, 1, hidden[2], d_out, NARROW)
+    backward(transposed, 3 * TRANSPOSED, outs, 2, d_out, NARROW, d_hidden[0], PITCH)
+    rectify_back(hidden[2], d_hidden[0])
+    weigh_hidden(gradient, 2 * MATRIX, 2, hidden[1], d_hidden[0], PITCH)
+    backward(transposed, 2 * TRANSPOSED, UNITS, 2, d_hidden[0], PITCH, d_hidden[1], PITCH)
+    rectify_back(hidden[1], d_hidden[1])
+    weigh_hidden(gradient, MATRIX, 2, hidden[0], d_hidden[1], PITCH)
+    backward(transposed, TRANSPOSED, UNITS, 2, d_hidden[1], PITCH, d_hidden[0], PITCH)
+    rectify_back(hidden[0], d_hidden[0])
+    weigh_inputs(gradient, 0, inputs, d_hidden[0])
+    backward(transposed, 0, UNITS, 1, d_hidden[0], PITCH, d_inputs, NARROW)
+
+
+@kernel
+def direct(tilted, queries, start, inputs):
+    """Put the directions of a block, and the 1 behind them, beside its features."""
+    zero, one = _F(0.0), _F(1.0)
+    for i in range(ROWS):
+        lx, ly, vx, vy = queries[start + i, 3], queries[start + i, 4], queries[start + i, 5], queries[start + i, 6]
+        at = i * NARROW + CHANNELS
+        if not tilted:
+            inputs[at], inputs[at + 1], inputs[at + 2], inputs[at + 3], inputs[at + 4] = lx, ly, vx, vy, one
+            for k in range(5, NARROW - CHANNELS):
+                inputs[at + k] = zero
+            continue
+        lz, vz = _z(lx, ly), _z(vx, vy)
+        hx, hy, hz = lx + vx, ly + vy, lz + vz
+        scale = one / math.sqrt(max(hx * hx + hy * hy + hz * hz, _F(1e-12)))
+        hz = hz * scale
+        t0, t1 = inputs[i * NARROW], inputs[i * NARROW + 1]
+        ux, uy = hx * scale + t0 * hz, hy * scale + t1 * hz
+        inputs[at], inputs[at + 1], inputs[at + 2], inputs[at + 3] = _F(2.0) * ux, _F(2.0) * uy, vx, vy
+        inputs[at + 4] = _F(-0.25) * math.log(ux * ux + uy * uy + _NARROWEST)
+        inputs[at + 5] = lz - t0 * lx - t1 * ly
+        inputs[at + 6] = vz - t0 * vx - t1 * vy
+        inputs[at + 7] = one
+        inputs[at + 8] = zero
+
+
+@kernel
+def direct_back(queries, start, inputs, d_inputs):
+    """Add what goes through tilted directions to dL/df_0 and dL/df_1."""
+    for i in range(ROWS):
+        lx, ly, vx, vy = queries[start + i, 3], queries[start + i, 4], queries[start + i, 5], queries[start + i, 6]
+        at, own = i * NARROW + CHANNELS, i * NARROW
+        hx, hy, hz = lx + vx, ly + vy, _z(lx, ly) + _z(vx, vy)
+        hz = hz / math.sqrt(max(hx * hx + hy * hy + hz * hz, _F(1e-12)))
+        ux, uy = _F(0.5) * inputs[at], _F(0.5) * inputs[at + 1]
+        by_log = _F(-0.5) * d_inputs[at + 4] / (ux * ux + uy * uy + _NARROWEST)
+        d_inputs[own] += hz * (_F(2.0) * d_inputs[at] + by_log * ux) - lx * d_inputs[at + 5] - vx * d_inputs[at + 6]
+        d_inputs[own + 1] += (
+            hz * (_F(2.0) * d_inputs[at + 1] + by_log * uy) - ly * d_inputs[at + 5] - vy * d_inputs[at + 6]
+        )
+
+
+@kernel
+def decode_block(network, ins, inputs, hidden, out):
+    """o of a block whose features and directions are in ``inputs``."""
+    one, zero = _F(1.0), _F(0.0)
+    forward(network, 0, ins, 2, inputs, NARROW, hidden[0], PITCH, zero)
+    forward(network, MATRIX, UNITS, 2, hidden[0], PITCH, hidden[1], PITCH, zero)
+    forward(network, 2 * MATRIX, UNITS, 2, hidden[1], PITCH, hidden[2], PITCH, zero)
+    forward(network, 3 * MATRIX, UNITS, 1, hidden[2], PITCH, out, NARROW, one)
+
+
+@kernel
+def colours(out, start, colour):
+    """p of a block, at least 0, into colour[start : start + ROWS]."""
+    for i in range(ROWS):
+        for c in range(3):
+            value = math.exp(_bounded(out[i * NARROW + c])) - _F(1.0)
+            mask = _LEAST_MASK + _sigmoid(out[i * NARROW + 3 + c])
+            colour[start + i, c] = max(value * mask, _F(0.0))
+
+
+@kernel
+def loss_back(out, targets, start, logarithmic, d_out):
+    """The sum of a block's losses; d_out becomes dL/do."""
+    one, two = _F(1.0), _F(2.0)
+    loss = 0.0
+    for i in range(ROWS):
+        at = i * NARROW
+        for k in range(OUTPUTS, NARROW):
+            d_out[at + k] = _F(0.0)
+        for c in range(3):
+            value = math.exp(_bounded(out[at + c]))
+            sigmoid = _sigmoid(out[at + 3 + c])
+            mask = _LEAST_MASK + sigmoid
+            found, target = max((value - one) * mask, _LEAST), targets[start + i, c]
+            if logarithmic:
+                wrong = math.log(one + found) - math.log(one + target)
+                by_found = two * wrong / (one + found)
+            else:
+                wrong = (found - target) / (one + found)
+                by_found = two * wrong / (one + found)
+            loss += wrong * wrong
+            d_out[at + c] = by_found * mask * value
+            d_out[at + 3 + c] = by_found * (value - one) * sigmoid * (one - sigmoid)
+    return loss
+
+
+@kernel
+def train_part(
+    first, last, queries, targets, rooms, pyramid, offset_texture, decoder, offsets, reach, tilted, with_offset,
+    logarithmic, pyramid_gradient, texture_gradient, decoder_gradient, offsets_gradient, rows, hidden, offset_hidden,
+    d_hidden, transposed, places, losses,
+):  # fmt: skip
+    """Add the gradients of blocks ``first`` to ``last`` of a batch, and their losses to losses[0].
+
+    Scratch of one part: ``rows`` six arrays of NARROW columns, ``hidden``, ``offset_hidden`` and ``d_hidden`` of PITCH,
+    ``transposed`` two networks, ``places`` what textures keep, and shifts; see ``Scratch``.
+    """
+    ins = TILTED_INPUTS if tilted else PLAIN_INPUTS
+    inputs, out, d_out, d_inputs, offset_inputs, offset_out = rows
+    corners, fractions, offset_corners, offset_fractions, shift, d_shift = places
+    transpose(decoder, LAYERS, ins, transposed[0])
+    transpose(offsets, LAYERS, OFFSET_INPUTS, transposed[1])
+    for i in range(2 * ROWS):
+        shift[i] = _F(0.0)
+    for block in range(first, last):
+        start = block * ROWS
+        if with_offset:
+            offset_block(
+                offsets, offset_texture, rooms, queries, start, reach, offset_inputs, offset_hidden, offset_out, shift,
+                offset_corners, offset_fractions,
+            )  # fmt: skip
+        interpolate(pyramid, rooms, 2, queries, start, shift, inputs, corners, fractions)
+        direct(tilted, queries, start, inputs)
+        decode_block(decoder, ins, inputs, hidden, out)
+        losses[0] += loss_back(out, targets, start, logarithmic, d_out)
+        chain_back(transposed[0], decoder_gradient, OUTPUTS, inputs, hidden, d_out, d_hidden, d_inputs)
+        if tilted:
+            direct_back(queries, start, inputs, d_inputs)
+        spread(d_inputs)
+        scatter(pyramid_gradient, 2, d_inputs, corners, fractions)
+        if with_offset:
+            by_position(pyramid, d_inputs, corners, fractions, d_shift)
+            offset_back(
+                transposed[1], texture_gradient, offsets_gradient, queries, start, reach, offset_inputs, offset_hidden,
+                d_shift, offset_corners, offset_fractions, d_hidden, d_inputs, d_out,
+            )  # fmt: skip
+
+
+@kernel
+def look_up_part(
+    first, last, queries, rooms, pyramid, offset_texture, offsets, reach, with_offset, inputs, hidden, out, corners,
+    fractions, shift, found,
+):  # fmt: skip
+    """What depends on the view alone: the 7 features of each query, into found (n, 8)."""
+    for i in range(2 * ROWS):
+        shift[i] = _F(0.0)
+    for block in range(first, last):
+        start = block * ROWS
+        if with_offset:
+            offset_block(
+                offsets, offset_texture, rooms, queries, start, reach, inputs, hidden, out, shift, corners, fractions
+            )
+        interpolate(pyramid, rooms, 2, queries, start, shift, inputs, corners, fractions)
+        for i in range(ROWS):
+            for c in range(CHANNELS):
+                found[start + i, c] = inputs[i * NARROW + c]
+
+
+@kernel
+def decode_part(first, last, features, queries, decoder, tilted, inputs, hidden, out, colour):
+    """p for a light each, from features (n, 8), into colour (n, 3)."""
+    ins = TILTED_INPUTS if tilted else PLAIN_INPUTS
+    for block in range(first, last):
+        start = block * ROWS
+        for i in range(ROWS):
+            for c in range(CHANNELS):
+                inputs[i * NARROW + c] = features[start + i, c]
+        direct(tilted, queries, start, inputs)
+        decode_block(decoder, ins, inputs, hidden, out)
+        colours(out, start, colour)

@@ -1,0 +1,275 @@
+"""What is learned of one material, and how it goes through a batch: gradients in a fixed number of parts.
+
+A batch is cut into ``PARTS`` parts that never depend on the number of threads. Each has its own gradients, which are
+summed in their order: the same seed gives the same bytes on any number of threads (of one kind of processor).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.neural.kernels.dense import MATRIX, NARROW, ONE, PITCH, ROWS, TRANSPOSED, UNITS
+from brdffit.neural.kernels.material import (
+    LAYERS,
+    OFFSET_INPUTS,
+    OUTPUTS,
+    PLAIN_INPUTS,
+    QUERY,
+    TILTED_INPUTS,
+    decode_part,
+    look_up_part,
+    train_part,
+)
+from brdffit.neural.kernels.textures import CHANNELS, KEPT, TEXEL, gather_parts
+from brdffit.neural.pyramid import Layout
+
+#: Parts of a batch, each with gradients of its own.
+PARTS = 8
+#: Reach of an offset of 1, as a share of the longer side of the tile.
+_REACH = 0.05
+
+
+@dataclass(frozen=True)
+class Design:
+    """How a material is built.
+
+    Attributes:
+        size: (height, width) of level 0 in texels, powers of two.
+        tilted: directions seen from a tilt that the texel learns, instead of those of light and view.
+        with_offset: whether the texture is read at a learned parallax offset.
+    """
+
+    size: tuple[int, int]
+    tilted: bool = True
+    with_offset: bool = True
+
+    @property
+    def layers(self) -> dict[str, list[tuple[int, int]]]:
+        """(inputs, outputs) of the layers of each network."""
+        ins = TILTED_INPUTS if self.tilted else PLAIN_INPUTS
+        hidden = [(UNITS, UNITS)] * (LAYERS - 2)
+        networks = {"decoder": [(ins, UNITS), *hidden, (UNITS, OUTPUTS)]}
+        if self.with_offset:
+            networks["offset"] = [(OFFSET_INPUTS, UNITS), *hidden, (UNITS, 1)]
+        return networks
+
+    @property
+    def weights(self) -> int:
+        """How many weights the networks have."""
+        return sum((ins + 1) * outs for layers in self.layers.values() for ins, outs in layers)
+
+
+class Network:
+    """The parameters: textures without repeated texels, and networks as their kernels read them.
+
+    Attributes:
+        design: how it is built.
+        pyramid: (floats,) float32, 8 a texel of all levels; the eighth is 0.
+        offset_texture: the same of level 0.
+        decoder, offset: (4 * MATRIX,) float32.
+    """
+
+    def __init__(self, design: Design, seed: int = 0) -> None:
+        self.design = design
+        self.layout, self.base = Layout(design.size), Layout(design.size, 1)
+        rng = np.random.default_rng([seed, 1])
+        self.pyramid = _texels(self.layout, rng)
+        self.offset_texture = _texels(self.base, rng)
+        self.decoder = np.zeros(LAYERS * MATRIX, np.float32)
+        self.offset = np.zeros(LAYERS * MATRIX, np.float32)
+        for name, layers in Design(design.size, design.tilted).layers.items():
+            gain = {"decoder": 0.5, "offset": 0.1}[name]
+            for k, (ins, outs) in enumerate(layers):
+                drawn = rng.standard_normal((ins, outs)) * np.sqrt(2.0 / ins) * (gain if k == LAYERS - 1 else 1.0)
+                self.put(name, k, drawn, np.zeros(outs))
+
+    def put(self, name: str, layer: int, weight: NDArray, bias: NDArray) -> None:
+        """Set the weights (inputs, outputs) and the bias (outputs,) of a layer of the network ``name``."""
+        matrix = getattr(self, name)[layer * MATRIX : (layer + 1) * MATRIX].reshape(UNITS + 1, PITCH)
+        ins, outs = weight.shape
+        matrix[:ins, :outs], matrix[ins, :outs] = weight, bias
+        if layer < LAYERS - 1:
+            matrix[ins, ONE] = 1.0
+
+    def taken(self, name: str, layer: int) -> tuple[NDArray, NDArray]:
+        """The weights (inputs, outputs) and the bias (outputs,) of a layer."""
+        ins, outs = self.design.layers[name][layer]
+        matrix = getattr(self, name)[layer * MATRIX : (layer + 1) * MATRIX].reshape(UNITS + 1, PITCH)
+        return matrix[:ins, :outs], matrix[ins, :outs]
+
+    @property
+    def reach(self) -> NDArray:
+        """(2,) float32: by how many texels across and down an offset of 1 shifts, for a view of slope 1."""
+        return np.full(2, _REACH * max(self.design.size), np.float32)
+
+    def parameters(self) -> dict[str, NDArray]:
+        """What is trained, by name."""
+        found = {"pyramid": self.pyramid, "decoder": self.decoder}
+        if self.design.with_offset:
+            found |= {"offset_texture": self.offset_texture, "offset": self.offset}
+        return found
+
+
+def _texels(layout: Layout, rng: np.random.Generator) -> NDArray:
+    texels = np.zeros((layout.learned // TEXEL, TEXEL), np.float32)
+    texels[:, :CHANNELS] = 0.1 * rng.standard_normal((len(texels), CHANNELS))
+    return texels.reshape(-1)
+
+
+class Scratch:
+    """What one part works in."""
+
+    def __init__(self) -> None:
+        def blocks(count: int, pitch: int) -> tuple[NDArray, ...]:
+            return tuple(np.zeros(ROWS * pitch, np.float32) for _ in range(count))
+
+        # Tiles of 16 rows of weights read a few floats behind the last row of a block.
+        self.rows = blocks(6, NARROW)
+        self.hidden, self.offset_hidden, self.d_hidden = blocks(3, PITCH), blocks(3, PITCH), blocks(2, PITCH)
+        self.transposed = tuple(np.zeros(LAYERS * TRANSPOSED, np.float32) for _ in range(2))
+        corners = tuple(np.zeros((ROWS, 4), np.int64) for _ in range(2))
+        fractions = tuple(np.zeros((ROWS, 2 * KEPT), np.float32) for _ in range(2))
+        shifts = tuple(np.zeros(2 * ROWS, np.float32) for _ in range(2))
+        self.places = (corners[0], fractions[0], corners[1], fractions[1], *shifts)
+
+
+class Reader:
+    """A network made ready to be read: textures through the blur, in the kernels' layout.
+
+    Args:
+        network: what is read.
+        threads: of a batch; None: all cores. No result depends on it.
+    """
+
+    def __init__(self, network: Network, threads: int | None = None) -> None:
+        self.network = network
+        self.pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
+        self.scratch = [Scratch() for _ in range(PARTS)]
+        self.pyramid = np.zeros(network.layout.floats, np.float32)
+        self.offset_texture = np.zeros(network.base.floats, np.float32)
+        self.refresh(0.0)
+
+    def refresh(self, sigma: float) -> None:
+        """Read the textures through a Gaussian of ``sigma`` texels of level 0."""
+        jobs = [
+            self.pool.submit(self.network.layout.read_through, self.network.pyramid, sigma, self.pyramid),
+            self.pool.submit(self.network.base.read_through, self.network.offset_texture, sigma, self.offset_texture),
+        ]
+        for job in jobs:
+            job.result()
+
+    def in_parts(self, count: int, work: Callable[[int, int, int], None]) -> None:
+        """Call work(part, first, last) on the parts of ``count`` blocks, on all threads."""
+        edges = [count * k // PARTS for k in range(PARTS + 1)]
+        list(self.pool.map(lambda k: work(k, edges[k], edges[k + 1]), range(PARTS)))
+
+    def look_up(self, queries: NDArray) -> NDArray:
+        """(n, 8) float32: the features of queries (n, QUERY), of which the lights are not read."""
+        padded = _padded(queries)
+        found = np.zeros((len(padded), TEXEL), np.float32)
+        network = self.network
+
+        def work(part: int, first: int, last: int) -> None:
+            own = self.scratch[part]
+            look_up_part(
+                first, last, padded, network.layout.rooms, self.pyramid, self.offset_texture, network.offset,
+                network.reach, network.design.with_offset, own.rows[0], own.hidden, own.rows[1], own.places[0],
+                own.places[1], own.places[4], found,
+            )  # fmt: skip
+
+        self.in_parts(len(padded) // ROWS, work)
+        return found[: len(queries)]
+
+    def decode(self, features: NDArray, queries: NDArray) -> NDArray:
+        """(n, 3) float32: what is reflected, from features (n, 8), for the directions of queries (n, QUERY)."""
+        padded, features = _padded(queries), _padded(features)
+        colour = np.zeros((len(padded), 3), np.float32)
+
+        def work(part: int, first: int, last: int) -> None:
+            own = self.scratch[part]
+            decode_part(
+                first, last, features, padded, self.network.decoder, self.network.design.tilted, own.rows[0],
+                own.hidden, own.rows[1], colour,
+            )  # fmt: skip
+
+        self.in_parts(len(padded) // ROWS, work)
+        return colour[: len(queries)]
+
+    def predict(self, queries: NDArray) -> NDArray:
+        """(n, 3): both stages."""
+        return self.decode(self.look_up(queries), queries)
+
+
+def _padded(rows: NDArray) -> NDArray:
+    """Rows repeated at the end to whole blocks, float32."""
+    rows = np.ascontiguousarray(rows, np.float32)
+    missing = -len(rows) % ROWS
+    return rows if not missing else np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)])
+
+
+class Learner(Reader):
+    """A reader that also goes backward: losses and gradients of batches."""
+
+    def __init__(self, network: Network, threads: int | None = None) -> None:
+        super().__init__(network, threads)
+        sizes = {
+            "pyramid": network.layout.floats, "decoder": network.decoder.size,
+            "offset_texture": network.base.floats, "offset": network.offset.size,
+        }  # fmt: skip
+        self.parts = {name: np.zeros(PARTS * size, np.float32) for name, size in sizes.items()}
+        self.sums = {name: np.zeros(size, np.float32) for name, size in sizes.items()}
+        self.sigma = 0.0
+
+    def refresh(self, sigma: float) -> None:
+        """See ``Reader``; gradients go back through the same blur."""
+        super().refresh(sigma)
+        self.sigma = sigma
+
+    def accumulate(self, queries: NDArray, targets: NDArray, logarithmic: bool) -> tuple[float, dict[str, NDArray]]:
+        """The mean loss of a batch, a channel, and its gradient by each of the network's parameters.
+
+        Args:
+            queries: (n, QUERY) float32, n a multiple of ROWS.
+            targets: (n, 3) float32.
+            logarithmic: the paper's loss, else the one without bias.
+        """
+        network = self.network
+        losses = np.zeros((PARTS, 8))
+
+        def work(part: int, first: int, last: int) -> None:
+            own = self.scratch[part]
+            mine = {
+                name: all_parts[part * len(self.sums[name]) : (part + 1) * len(self.sums[name])]
+                for name, all_parts in self.parts.items()
+            }
+            train_part(
+                first, last, queries, targets, network.layout.rooms, self.pyramid, self.offset_texture, network.decoder,
+                network.offset, network.reach, network.design.tilted, network.design.with_offset, logarithmic,
+                mine["pyramid"], mine["offset_texture"], mine["decoder"], mine["offset"], own.rows, own.hidden,
+                own.offset_hidden, own.d_hidden, own.transposed, own.places, losses[part],
+            )  # fmt: skip
+
+        self.in_parts(len(queries) // ROWS, work)
+        for name in network.parameters():
+            size = len(self.sums[name])
+            self.in_parts(size, lambda _, first, last, name=name: self._sum(name, first, last))  # type: ignore[misc]
+        scale = np.float32(1.0 / (3 * len(queries)))
+        gradients = {}
+        for name in network.parameters():
+            gradients[name] = self.sums[name] * scale
+        gradients["pyramid"] = network.layout.pull_back(gradients["pyramid"], self.sigma)
+        if network.design.with_offset:
+            gradients["offset_texture"] = network.base.pull_back(gradients["offset_texture"], self.sigma)
+        return float(losses[:, 0].sum()) * float(scale), gradients
+
+    def _sum(self, name: str, first: int, last: int) -> None:
+        gather_parts(self.parts[name], PARTS, first, last, self.sums[name])
+
+
+__all__ = ["PARTS", "QUERY", "Design", "Learner", "Network", "Reader"]

@@ -1,0 +1,97 @@
+"""Where the levels of a texture stand in memory, and the periodic blur under which textures are trained."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.neural.kernels.textures import TEXEL, blur_level
+
+#: A blur of less, in texels, changes nothing that 32 bits of a texture would keep apart from its neighbours' noise.
+_NO_BLUR = 0.2
+
+
+class Layout:
+    """Levels of a texture of ``size`` (height, width), powers of two: (h / 2^l, w / 2^l), at least 1, down to 1 x 1.
+
+    Attributes:
+        sizes: (height, width) of each level.
+        rooms: (levels, 3) int64: first float, width and height of each level as kernels read it, each row with its
+            first texel once more at its end.
+        floats: of all levels so.
+    """
+
+    def __init__(self, size: tuple[int, int], levels: int | None = None) -> None:
+        self.size = size
+        count = levels or max(size).bit_length()
+        self.sizes = [(max(size[0] >> k, 1), max(size[1] >> k, 1)) for k in range(count)]
+        firsts = np.cumsum([0, *(h * (w + 1) * TEXEL for h, w in self.sizes)])
+        self.rooms = np.array([(first, w, h) for first, (h, w) in zip(firsts, self.sizes, strict=False)], np.int64)
+        self.floats = int(firsts[-1])
+
+    @cached_property
+    def bounds(self) -> list[int]:
+        """First float of each level where no texel is repeated, and the end."""
+        return np.cumsum([0, *(h * w * TEXEL for h, w in self.sizes)]).tolist()
+
+    @property
+    def learned(self) -> int:
+        """Floats of all levels where no texel is repeated."""
+        return self.bounds[-1]
+
+    def read_through(self, texture: NDArray, sigma: float, out: NDArray) -> None:
+        """``texture`` (learned,) blurred and laid out for kernels, into ``out`` (floats,).
+
+        Args:
+            texture: texels without repetition.
+            sigma: standard deviation of the periodic Gaussian in texels of level 0; each level is blurred by as much of
+                the tile.
+            out: what is written.
+        """
+        for k, (height, width) in enumerate(self.sizes):
+            taps = tuple(
+                periodic_taps(sigma * length / whole, length)
+                for length, whole in zip((width, height), self.size[::-1], strict=True)
+            )
+            source = texture[self.bounds[k] : self.bounds[k + 1]]
+            scratch = np.empty(height * width * TEXEL, np.float32)
+            padded = np.empty((width + len(taps[0]) + 1) * TEXEL, np.float32)
+            blur_level(source, out, self.rooms[k], taps, scratch, padded)
+
+    def pull_back(self, gradient: NDArray, sigma: float) -> NDArray:
+        """The gradient by ``texture`` (learned,) from that by what ``read_through`` wrote: it is its own adjoint."""
+        texels = np.empty(self.learned, np.float32)
+        for k, (height, width) in enumerate(self.sizes):
+            first = self.rooms[k, 0]
+            rows = gradient[first : first + height * (width + 1) * TEXEL].reshape(height, width + 1, TEXEL)
+            own = texels[self.bounds[k] : self.bounds[k + 1]].reshape(height, width, TEXEL)
+            own[:] = rows[:, :-1]
+            own[:, 0] += rows[:, -1]
+        if sigma < _NO_BLUR:
+            return texels
+        out = np.empty(self.floats, np.float32)
+        self.read_through(texels, sigma, out)
+        for k, (height, width) in enumerate(self.sizes):
+            first = self.rooms[k, 0]
+            rows = out[first : first + height * (width + 1) * TEXEL].reshape(height, width + 1, TEXEL)
+            texels[self.bounds[k] : self.bounds[k + 1]].reshape(height, width, TEXEL)[:] = rows[:, :-1]
+        return texels
+
+
+def periodic_taps(sigma: float, length: int) -> NDArray:
+    """Weights (odd,) float32 of a Gaussian out to 4 sigma, summed over the period if they reach around it."""
+    if sigma < _NO_BLUR or length == 1:
+        return np.ones(1, np.float32)
+    reach = math.ceil(4.0 * sigma)
+    at = np.arange(-reach, reach + 1)
+    weights = np.exp(-0.5 * (at / sigma) ** 2)
+    if len(at) > length:
+        # The texel half a period away is reached from both sides, by half from each.
+        half = length // 2
+        around = np.bincount(at % length, weights, length)
+        weights = around[np.arange(-half, half + 1) % length]
+        weights[0] = weights[-1] = 0.5 * weights[0]
+    return (weights / weights.sum()).astype(np.float32)
