@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from brdffit.textures.displaced import CliffRock, FoamBlobs, Pebbles, TurtleShell, WovenFabric
 from brdffit.textures.encoding import height_gradient, normals_from_gradient
 from brdffit.textures.facade import GlassPanes
 from brdffit.textures.foliage import LeafLitter
@@ -268,4 +269,9 @@ GENERATORS: dict[str, Any] = {
     "fractal_relief": FractalRelief,
     "glass_panes": GlassPanes,
     "leaf_litter": LeafLitter,
+    "pebbles": Pebbles,
+    "cliff_rock": CliffRock,
+    "foam_blobs": FoamBlobs,
+    "woven_fabric": WovenFabric,
+    "turtle_shell": TurtleShell,
 }

@@ -25,8 +25,8 @@ _CHECKOUT = Path(__file__).resolve().parents[2] / "data"
 RECIPES = _CHECKOUT if (_CHECKOUT / "hammered-metal.toml").is_file() else Path(sys.prefix, "share", "brdffit")
 #: Names of the shipped sets.
 SETS = (
-    "brushed-metal", "bumpy-mirror", "glass-panes", "glossy-tiles", "grooved-record", "hammered-metal", "leaf-litter",
-    "plaster-wall", "rocky-terrain",
+    "brushed-metal", "bumpy-mirror", "cliff", "glass-panes", "glossy-tiles", "grooved-record", "hammered-metal",
+    "insulation-foam", "leaf-litter", "pebbles", "plaster-wall", "rocky-terrain", "turtle-shell", "woven-fabric",
 )  # fmt: skip
 
 

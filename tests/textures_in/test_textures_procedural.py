@@ -113,6 +113,11 @@ def test_each_set_is_what_it_is_for(made) -> None:
         assert slope.std() > 0.4
         assert roughness.min() > 0.5
         assert svbrdf.diffuse.std(axis=(0, 1)).min() > 0.05 and roughness.std() > 0.05
+    elif name in ("cliff", "insulation-foam", "pebbles", "turtle-shell", "woven-fabric"):
+        # Deep enough that they hide and shade themselves, and steep.
+        assert svbrdf.height is not None and 0.04 < np.ptp(svbrdf.height) / SIZE < 0.16
+        assert 0.3 < slope.std() < 1.2
+        assert svbrdf.diffuse.std(axis=(0, 1)).max() > 0.04
     else:
         assert metal
         assert roughness.mean() < 0.1
