@@ -30,12 +30,15 @@ class Seen(NamedTuple):
     """What a fit sees of a base.
 
     ``base``: as the loop over texels reads it; ``averaged``: the images (H, W, 3) that it does not read, "specular" or
-    "diffuse", whose averages complete its answer; ``hue``: whether the averaged specular colour gives its hue alone.
+    "diffuse", whose averages complete its answer; ``hue``: whether the averaged specular colour gives its hue alone;
+    ``scale``: of the white lobes that a fit without colours reads, as bright as the base's in the mean, so that its
+    loss weighs them against the diffuse light as they are.
     """
 
     base: Base
     averaged: dict[str, NDArray]
     hue: bool
+    scale: float = 1.0
 
 
 def seen_by(base: Base, options: FitOptions) -> Seen:
@@ -45,17 +48,18 @@ def seen_by(base: Base, options: FitOptions) -> Seen:
         UnknownNameError: for an unknown ``colour``.
     """
     shared = one_of("colour", options.colour, COLOURS) == "shared" and not base.grey
-    averaged = {}
+    averaged, scale = {}, 1.0
     if not options.coupling and base.has_diffuse:
         averaged["diffuse"] = base.diffuse
         base = base._replace(has_diffuse=False)
     if not options.correlation:
         averaged["specular"] = base.specular
-        base = base._replace(specular=np.ones_like(base.specular), grey=True)
+        scale = float(np.mean(base.specular, dtype=np.float64)) or 1.0
+        base = base._replace(specular=np.full_like(base.specular, scale), grey=True)
     elif shared:
         averaged["specular"] = base.specular
         base = base._replace(specular=np.repeat(base.specular @ _LUMINANCE[:, None], 3, axis=2), grey=True)
-    return Seen(base, averaged, hue=options.correlation)
+    return Seen(base, averaged, hue=options.correlation, scale=scale)
 
 
 def complete(output: Output, seen: Seen, averages: Mapping[str, NDArray]) -> None:
@@ -74,6 +78,7 @@ def complete(output: Output, seen: Seen, averages: Mapping[str, NDArray]) -> Non
             colour = np.where(black, 1.0, colour / np.where(black, 1.0, luminance))
         else:
             output.status[black[:, 0]] = NO_SPECULAR
+            colour = colour / seen.scale
         np.multiply(output.specular, colour, out=output.specular, casting="same_kind")
 
 
