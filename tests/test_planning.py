@@ -162,11 +162,12 @@ def test_what_is_dropped_loses_no_more_than_the_plan_says(folder, plans):
 
 
 def test_no_effect_does_harm(plans):
-    """With an effect the SNR is no lower than without, but for noise."""
+    """With an effect the SNR is no lower than without, but for noise, and what a fit by the loss "seen" gives up of the
+    plan's squared error for a picture that looks right: less than a budget."""
     for planned in plans.values():
         for row in planned.effects:
             if row.contributes_db is not None and row.name != "refinement":
-                assert row.contributes_db >= -3.0 * row.uncertain_db - 0.02, (planned.name, row.name)
+                assert row.contributes_db >= -3.0 * row.uncertain_db - 0.1, (planned.name, row.name)
 
 
 @pytest.mark.slow

@@ -39,6 +39,7 @@ def directions(
     pairs: int,
     seed: int = 0,
     highlights: tuple[NDArray, NDArray] | None = None,
+    luminance: NDArray | None = None,
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Random pairs of directions at some texels of a surface.
 
@@ -56,6 +57,8 @@ def directions(
         highlights: the K lobes of each texel that are compared: normals (texels, K, 3) and widths (texels, K), each an
             alpha. Half of the pairs are then chosen for half vectors there, and weigh less in turn: small lights hardly
             ever hit a sharp lobe by chance, and some dozens of such pairs tell what thousands of others do.
+        luminance: (sources,) of the lights in order and then the environment, if not all that they have (see
+            ``sizes.LightSize``).
 
     Returns:
         view and light (texels, pairs, 3), float64 unit vectors in the tangent space of the mean plane (where a surface
@@ -64,7 +67,7 @@ def directions(
     Raises:
         InputError: when the environment cannot be read, or no light reaches what the cameras see.
     """
-    random, sources = np.random.default_rng(seed), _Sources(scene)
+    random, sources = np.random.default_rng(seed), _Sources(scene, luminance)
     wanted, rounds = texels * pairs if highlights is None else _POOL, 0
     found: list[NDArray] = []
     while sum(map(len, found)) < wanted:
@@ -139,13 +142,14 @@ def environment_of(scene: SceneFile) -> Environment | None:
 class _Sources:
     """What lights a scene, and how much of it each is."""
 
-    def __init__(self, scene: SceneFile) -> None:
+    def __init__(self, scene: SceneFile, shining: NDArray | None = None) -> None:
         self.lights: tuple[Light, ...] = scene.lights
         self.around: NDArray | None = None
         luminance = [float(np.dot(LUMINANCE, light.rgb)) for light in scene.lights]
         if scene.environment is not None:
             self.around, total_around = _surroundings(scene.environment)
             luminance.append(total_around)
+        luminance = luminance if shining is None else list(shining)
         total = sum(luminance)
         if total <= 0.0:
             raise InputError("The lights of the scene are black: expected an `irradiance` above 0.")

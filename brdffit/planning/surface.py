@@ -31,7 +31,8 @@ from brdffit.planning.plan import (
 )
 from brdffit.planning.reach import Reach, reached_levels
 from brdffit.planning.refinement import try_refinement
-from brdffit.planning.trial import Draw, Errors, Loss, Sample, loss, snr_db
+from brdffit.planning.sizes import light_sizes, lights_option, shares_of
+from brdffit.planning.trial import Errors, Loss, Sample, Shining, loss, snr_db
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures.conversion import to_svbrdf
@@ -64,6 +65,7 @@ class SurfaceWork:
         self.scene, self.surface, self.seed, self.threads = scene, surface, seed, threads
         self.texture_set: TextureSet = read_texture_set(surface.set, **surface.reading())
         self.asked = {name: scene.switch(name) for name in BY_NAME}
+        self.sizes = light_sizes(scene, surface)
 
     def plan(self, tell: Tell) -> SurfacePlan:
         """Measure and decide.
@@ -144,7 +146,7 @@ class SurfaceWork:
         for name in (n for n in names if BY_NAME[n].judge):
             if name == "environment":
                 dark = msgspec.structs.replace(self.scene, environment=None)
-                without = sample.errors([on], draw=self._draw(dark))
+                without = sample.errors([on], lights=self._lights(dark))
             else:
                 without = sample.errors([on], Terms(**dict.fromkeys(BY_NAME[name].terms, False)))
             # Whichever way the judge's figure moves, it moves.
@@ -186,9 +188,9 @@ class SurfaceWork:
 
     def _setup(self, seen: Reach | None, off: Iterable[str]) -> Setup:
         scene = self.scene
-        # A plan promises decibels over pairs of directions, and is fitted by what it is measured by.
+        # A plan is fitted by what it is measured by: the sizes of the scene's own lights.
         options = FitOptions(
-            lights="point", model=scene.model, quality=scene.quality, pixel_filter=scene.pixel_filter,
+            lights=lights_option(self.sizes), model=scene.model, quality=scene.quality, pixel_filter=scene.pixel_filter,
             threads=self.threads,
             reach=None if seen is None else (seen.first, seen.last),
         )  # fmt: skip
@@ -199,10 +201,15 @@ class SurfaceWork:
 
     def _sample_of(self, base: Svbrdf, levels: tuple[int, int]) -> Sample:
         options = self._setup(None, ()).options
-        return Sample(base, options, levels, self._draw(self.scene), self.seed, threads=self.threads)
+        return Sample(base, options, levels, self._lights(self.scene), self.seed, threads=self.threads)
 
-    def _draw(self, scene: SceneFile) -> Draw:
-        return functools.partial(directions, scene, self.surface)
+    def _lights(self, scene: SceneFile) -> list[Shining]:
+        sizes = light_sizes(scene, self.surface)
+        draws = [functools.partial(directions, scene, self.surface, luminance=size.luminance) for size in sizes]
+        return [
+            Shining(size.radius, float(share), draw)
+            for size, share, draw in zip(sizes, shares_of(sizes), draws, strict=True)
+        ]
 
     def _seconds(self, sample: Sample, seen: Reach, off: set[str], tried: _Tried) -> float:
         return sample.seconds([self._setup(seen, off)])[0] + _refining(tried, off)

@@ -2,6 +2,8 @@
 
 The figure is that of a picture: the squared error of the radiance that the scene's cameras see of the scene's lights,
 over the square of the true radiance, pooled over the texels of a level and averaged over the levels that are reached.
+No light is sharper than it is large: under lights of an angular radius all lobes are as much wider, the true ones too
+(see ``brdffit.halfangle.lights``), and the squares of several sizes are averaged as they share the light.
 Configurations are held against the truth on the same texels and pairs of directions, so that most of the sampling noise
 cancels in their differences; what is left is estimated by resampling texels (Efron's bootstrap).
 """
@@ -25,6 +27,7 @@ from brdffit.models import get_model
 from brdffit.planning.effects import Setup
 from brdffit.render.pairs import pair_errors
 from brdffit.render.terms import Terms
+from brdffit.roughness import log_from_tensor, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 #: Relative squared error that nobody sees: a contrast of one percent, about the eye's threshold (40 dB).
@@ -39,6 +42,14 @@ _RESAMPLED = 200
 #: (view, light, weight) for so many texels and pairs, a seed, and highlights; see ``lighting.directions``.
 Directions = tuple[NDArray, NDArray, NDArray]
 Draw = Callable[[int, int, int, tuple[NDArray, NDArray] | None], Directions]
+
+
+class Shining(NamedTuple):
+    """Lights of one angular radius (degrees), their share of all light, and directions to them and to the viewer."""
+
+    radius: float
+    share: float
+    draw: Draw
 
 
 class Errors(NamedTuple):
@@ -67,22 +78,23 @@ class Sample:
         base: everything that the set holds.
         options: of the bake; what effects change of them may differ from trial to trial.
         reach: first and last level.
-        draw: directions for (texels, pairs, seed).
+        lights: of the scene, by their size.
         seed: of texels and directions.
         texels: of levels 0 and 1; fewer further down.
     """
 
     def __init__(
-        self, base: Svbrdf, options: FitOptions, reach: tuple[int, int], draw: Draw, seed: int = 0,
+        self, base: Svbrdf, options: FitOptions, reach: tuple[int, int], lights: Sequence[Shining], seed: int = 0,
         texels: int = TEXELS, threads: int | None = None,
     ) -> None:  # fmt: skip
-        self.base, self.options, self.reach, self.draw, self.seed = base, options, reach, draw, seed
+        self.base, self.options, self.reach, self.lights, self.seed = base, options, reach, lights, seed
         self.threads = threads
         self.sizes = level_sizes(base.size)
         self.levels = sorted({round(level) for level in np.linspace(*reach, LEVELS)})
         self.texels = {k: random_texels(self.sizes[k], _count(texels, k), self._seed(k)) for k in self.levels}
         self._highlights: list[tuple[NDArray, NDArray]] | None = None
         self._bases: dict[tuple[str, ...], LevelSample] = {}
+        self._widened: dict[float, Svbrdf] = {}
 
     def _seed(self, level: int) -> int:
         return 1000 * (self.seed + 1) + level
@@ -111,21 +123,39 @@ class Sample:
             self._highlights.append((normals, np.exp(0.5 * log_alpha)))
 
     def errors(
-        self, versions: Sequence[Sequence[Svbrdf]], terms: Terms | None = None, draw: Draw | None = None
+        self, versions: Sequence[Sequence[Svbrdf]], terms: Terms | None = None, lights: Sequence[Shining] | None = None
     ) -> Errors:
         """Squared errors of M versions (each a list over the levels) against everything that the base holds."""
+        lights = lights or self.lights
         found = Errors([], [])
         for i, level in enumerate(self.levels):
             columns, rows = self.texels[level]
-            highlights = self._highlights[i] if self._highlights else None
-            error, reference = pair_errors(
-                self.base, [version[i] for version in versions], columns, rows, terms=terms or Terms(),
-                samples=FOOTPRINT, size=self.sizes[level], threads=self.threads,
-                directions=(draw or self.draw)(len(columns), PAIRS, self._seed(level), highlights),
-            )  # fmt: skip
+            error, reference = np.zeros((len(versions), len(columns))), np.zeros(len(columns))
+            for shining in lights:
+                seen, square = pair_errors(
+                    self._base_under(shining.radius), [_widened(version[i], shining.radius) for version in versions],
+                    columns, rows, terms=terms or Terms(), samples=FOOTPRINT, size=self.sizes[level],
+                    threads=self.threads, directions=self._directions(shining, i, len(columns), len(lights)),
+                )  # fmt: skip
+                error += shining.share * seen
+                reference += shining.share * square
             found.error.append(error)
             found.reference.append(reference)
         return found
+
+    def _directions(self, shining: Shining, i: int, texels: int, sizes: int) -> Directions:
+        """Pairs at the texels of the i-th level; all sizes of light share them out."""
+        highlights = None
+        if self._highlights is not None:
+            normal, width = self._highlights[i]
+            blur = get_model(self.base.model).blur * math.radians(0.5 * shining.radius) ** 2
+            highlights = normal, np.sqrt(np.square(width) + blur)
+        return shining.draw(texels, max(PAIRS // sizes, 1), self._seed(self.levels[i]), highlights)
+
+    def _base_under(self, radius: float) -> Svbrdf:
+        if radius not in self._widened:
+            self._widened[radius] = _widened(self.base, radius)
+        return self._widened[radius]
 
     def seconds(self, setups: Sequence[Setup]) -> list[float]:
         """Seconds that fitting all reached levels takes with each setup on an idle machine, from some texels.
@@ -251,6 +281,15 @@ class _Run:
         if self._many < 2 * self._few:
             return self._fit(self._many) / self._many
         return max(self._fit(self._many) - self._fit(self._few), 0.0) / (self._many - self._few)
+
+
+def _widened(svbrdf: Svbrdf, radius: float) -> Svbrdf:
+    """Its lobes as lights of some angular radius in degrees let them be seen."""
+    if radius == 0.0:
+        return svbrdf
+    square = get_model(svbrdf.model).blur * math.radians(0.5 * radius) ** 2
+    tensor = tensor_from_log(svbrdf.log_roughness) + np.array([square, square, 0.0], np.float32)
+    return svbrdf.replace(log_roughness=log_from_tensor(tensor))
 
 
 def timed(work: Callable[[], object], threads: int | None) -> float:
