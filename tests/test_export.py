@@ -18,9 +18,9 @@ from brdffit.export.channels import (
     anisotropy_direction,
     base_color_and_metallic,
     decode,
-    gltf_strength_from_alphas,
     tangent_above,
 )
+from brdffit.export.factors import gltf_strength_from_alphas
 from brdffit.export.manifest import build_manifest
 from brdffit.export.pictures import Drawing, dominant_direction, full_chain, quantise
 from brdffit.export.presets import PRESETS, get_preset
@@ -120,7 +120,7 @@ def test_a_preset_of_png_files_writes_its_pictures_for_every_level(tmp_path, nam
     pictures = [picture for picture in preset.pictures if picture.needs != "occlusion"]
     expected = {f"set_{picture.role}.{k}.png" for picture in pictures for k in range(len(pyramid))}
     assert {path.name for path in (tmp_path / "set" / "mips").iterdir()} == expected
-    drawing = Drawing([level.svbrdf for level in pyramid.levels], preset.normal_y)
+    drawing = Drawing([level.svbrdf for level in pyramid.levels], preset)
     for picture in pictures:
         codes, _ = drawing.draw(picture, picture.srgb, bits)
         for k, level in enumerate(codes):
@@ -156,7 +156,7 @@ def test_occlusion_is_written_where_there_is_some(tmp_path):
 def test_packed_channels_hold_what_the_engine_reads(preset, role, channels):
     svbrdf = random_svbrdf((5, 7), occlusion=np.random.default_rng(5).random((5, 7), dtype=np.float32))
     picture = next(picture for picture in get_preset(preset).pictures if picture.role == role)
-    (codes,), _ = Drawing([svbrdf], "gl").draw(picture, picture.srgb, 16)
+    (codes,), _ = Drawing([svbrdf], PRESETS["plain"]).draw(picture, picture.srgb, 16)
     # By hand: what each name means, apart from `Channels`.
     _, metallic = base_color_and_metallic(svbrdf.specular, svbrdf.diffuse)
     tensor = tensor_from_log(svbrdf.log_roughness).astype(np.float64)

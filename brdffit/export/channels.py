@@ -13,12 +13,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.export.factors import Factors, gltf_strength_from_alphas
 from brdffit.roughness import eigenvalues_of_log, perceptual_from_alpha_squared, perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.conversion import DIELECTRIC_F0
 
 #: Godot's smallest ratio of the two alphas: aspect^2 = 1 - 0.9 anisotropy. Blender's Principled BSDF has the same.
 GODOT_RANGE = 0.9
+
+
+#: Nothing is divided.
+_PLAIN = Factors()
 
 
 class Channels:
@@ -30,15 +35,18 @@ class Channels:
         towards: (x, y) half plane in which anisotropy directions are given: a direction and its opposite are the same
             lobe, but a texture filter would average them to nothing.
         strongest: largest strength of glTF in the pyramid, by which lengths of directions are divided.
+        factors: what the material multiplies values by, so that they are stored divided.
     """
 
     def __init__(
-        self, svbrdf: Svbrdf, normal_y: str = "gl", towards: tuple[float, float] = (1.0, 0.0), strongest: float = 1.0
-    ) -> None:
+        self, svbrdf: Svbrdf, normal_y: str = "gl", towards: tuple[float, float] = (1.0, 0.0), strongest: float = 1.0,
+        factors: Factors = _PLAIN,
+    ) -> None:  # fmt: skip
         self._svbrdf = svbrdf
         self._normal_y = normal_y
         self._towards = towards
         self._strongest = strongest
+        self._factors = factors
 
     def __getitem__(self, name: str) -> NDArray:
         stem, _, component = name.rpartition("_")
@@ -66,20 +74,28 @@ class Channels:
         """Share of the texel that there is surface, 1 where the set does not say."""
         return self.one if self._svbrdf.opacity is None else self._svbrdf.opacity
 
+    @cached_property
+    def _normal(self) -> NDArray:
+        """Normals whose x and y are divided by the material's scale, of unit length."""
+        if self._factors.normal == 1.0:
+            return self._svbrdf.normal
+        stretched = self._svbrdf.normal / np.array([self._factors.normal, self._factors.normal, 1.0], np.float32)
+        return stretched / np.linalg.norm(stretched, axis=-1, keepdims=True)
+
     @property
     def normal_x(self) -> NDArray:
         """X of the normal, [-1, 1] on [0, 1]."""
-        return 0.5 + 0.5 * self._svbrdf.normal[..., 0]
+        return 0.5 + 0.5 * self._normal[..., 0]
 
     @property
     def normal_y(self) -> NDArray:
         """Y of the normal in the preset's convention, [-1, 1] on [0, 1]."""
-        return 0.5 + (0.5 if self._normal_y == "gl" else -0.5) * self._svbrdf.normal[..., 1]
+        return 0.5 + (0.5 if self._normal_y == "gl" else -0.5) * self._normal[..., 1]
 
     @property
     def normal_z(self) -> NDArray:
         """Z of the normal, [-1, 1] on [0, 1]."""
-        return 0.5 + 0.5 * self._svbrdf.normal[..., 2]
+        return 0.5 + 0.5 * self._normal[..., 2]
 
     @property
     def roughness(self) -> NDArray:
@@ -133,7 +149,7 @@ class Channels:
         Engines bring them to unit length, so a length is free to choose. This one fades the noise of directions where
         lobes are round: blocks spend no bits on it, and between texels the clearer direction wins.
         """
-        return self._direction * (self.gltf_strength / max(self._strongest, 1e-6))[..., None]
+        return self._direction * (self._strength / max(self._strongest, 1e-6))[..., None]
 
     @property
     def direction_x(self) -> NDArray:
@@ -177,13 +193,17 @@ class Channels:
 
     @property
     def gltf_roughness(self) -> NDArray:
-        """r of glTF: alpha_b = r^2 is the smaller alpha."""
-        return perceptual_from_alpha_squared(np.square(self._alphas[1]))
+        """r of glTF: alpha_b = r^2 is the smaller alpha; over the material's factor."""
+        return perceptual_from_alpha_squared(np.square(self._alphas[1])) / np.float32(self._factors.roughness)
+
+    @cached_property
+    def _strength(self) -> NDArray:
+        return gltf_strength_from_alphas(*self._alphas)
 
     @property
     def gltf_strength(self) -> NDArray:
-        """Strength s of KHR_materials_anisotropy; see `gltf_strength_from_alphas`."""
-        return gltf_strength_from_alphas(*self._alphas)
+        """Strength s of KHR_materials_anisotropy, over the material's; see `gltf_strength_from_alphas`."""
+        return self._strength / np.float32(self._factors.strength)
 
     @property
     def godot_strength(self) -> NDArray:
@@ -196,28 +216,19 @@ class Channels:
         return 1.0 - self._alphas[1] / self._alphas[0]
 
 
-def gltf_strength_from_alphas(major: NDArray, minor: NDArray) -> NDArray:
-    """Strength s of KHR_materials_anisotropy of the two alphas (...).
-
-    Its alpha_t = mix(alpha, 1, s^2) = alpha + (1 - alpha) s^2 with alpha = alpha_b, so
-    s^2 = (alpha_t - alpha_b) / (1 - alpha_b).  An alpha above 1 has no place in it and is held at 1.
-    """
-    major, minor = np.minimum(major, 1.0), np.minimum(minor, 1.0)
-    return np.sqrt((major - minor) / np.maximum(1.0 - minor, np.finfo(np.float32).tiny))
-
-
 def alphas_from_gltf(roughness: NDArray, strength: NDArray) -> tuple[NDArray, NDArray]:
     """(alpha_t, alpha_b) of roughness and strength as KHR_materials_anisotropy has them: the inverse of the above."""
     minor = np.square(roughness)
     return minor + (1.0 - minor) * np.square(strength), minor
 
 
-def decode(channels: Mapping[str, NDArray], normal_y: str = "gl") -> Svbrdf:
+def decode(channels: Mapping[str, NDArray], normal_y: str = "gl", factors: Factors = _PLAIN) -> Svbrdf:
     """The SVBRDF that an engine makes of channels, by their names in `Channels`: the inverse of that class.
 
     Args:
         channels: (H, W) each, linear, in [0, 1].
         normal_y: "gl" or "dx".
+        factors: of the material.
 
     Returns:
         An SVBRDF of GGX; what the channels do not say is 1 (specular) or as if isotropic.
@@ -228,9 +239,9 @@ def decode(channels: Mapping[str, NDArray], normal_y: str = "gl") -> Svbrdf:
     z = np.sqrt(np.maximum(1.0 - np.square(xy).sum(axis=-1), 0.0))
     if "normal_z" in channels:
         z = np.maximum(2.0 * channels["normal_z"] - 1.0, 0.0)
-    normal = np.concatenate([xy, z[..., None]], axis=-1)
+    normal = np.concatenate([factors.normal * xy, z[..., None]], axis=-1)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
-    major, minor = (np.maximum(alpha, 1e-4) for alpha in _alphas_of(channels))
+    major, minor = (np.maximum(alpha, 1e-4) for alpha in _alphas_of(channels, factors))
     if "direction_x" in channels:
         direction = np.stack([channels["direction_x"], channels["direction_y"]], axis=-1) * 2.0 - 1.0
     elif "tangent_x" in channels:
@@ -252,11 +263,12 @@ def decode(channels: Mapping[str, NDArray], normal_y: str = "gl") -> Svbrdf:
     )
 
 
-def _alphas_of(channels: Mapping[str, NDArray]) -> tuple[NDArray, NDArray]:
+def _alphas_of(channels: Mapping[str, NDArray], factors: Factors) -> tuple[NDArray, NDArray]:
     """The two alphas of whichever roughness and strength the channels hold."""
     if "gltf_roughness" in channels:
-        roughness = channels["gltf_roughness"]
-        return alphas_from_gltf(roughness, channels.get("gltf_strength", np.zeros_like(roughness)))
+        roughness = factors.roughness * channels["gltf_roughness"]
+        strength = factors.strength * channels.get("gltf_strength", np.zeros_like(roughness))
+        return alphas_from_gltf(roughness, strength)
     if "mean_roughness" in channels or "mean_smoothness" in channels:
         mean = channels["mean_roughness"] if "mean_roughness" in channels else 1.0 - channels["mean_smoothness"]
         alpha, strength = np.square(mean), channels.get("mean_anisotropy", np.zeros_like(mean))

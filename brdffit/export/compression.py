@@ -1,4 +1,4 @@
-"""Texels to blocks: BC4, BC5, BC6H and BC7 by ISPC Texture Compressor, UASTC by Basis Universal, and plain texels.
+"""Texels to blocks: BC6H and BC7 by ISPC Texture Compressor, UASTC by Basis Universal, BC4 and BC5 by ``bc4``.
 
 Two things the encoder of BC blocks does not do are done here: a level whose sides are no multiples of 4 is padded by
 its last row and column (the encoder returns too few bytes without a word), and what comes back is counted. Blocks do
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import BrdffitError, UnknownNameError
+from brdffit.export.bc4 import encode_bc4
 from brdffit.export.formats import PixelFormat
 
 #: How much time an encoder takes: profiles of ISPC's BC7 and BC6H, and efforts of Basis.
@@ -63,7 +64,8 @@ def encode_level(pixels: PixelFormat, texels: NDArray, effort: str = "good", thr
 
     Args:
         pixels: the format.
-        texels: (H, W, C), C as the format has channels, or more: uint8; float32 or float16 for float formats.
+        texels: (H, W, C), C as the format has channels, or more: uint8; float32 or float16 for float formats; either
+            for BC4 and BC5, floats in [0, 1], of which they keep more.
         effort: one of COMPRESSIONS; plain formats have none.
         threads: None takes all cores; the bytes do not depend on it.
 
@@ -137,17 +139,15 @@ def _dtype(pixels: PixelFormat) -> str:
 
 def _blocks(pixels: PixelFormat, texels: NDArray, effort: str) -> bytes:
     """Blocks of a band whose sides are multiples of 4."""
+    if pixels.name in ("bc4", "bc5"):
+        scale = np.float32(1.0 if texels.dtype.kind == "f" else 1.0 / 255.0)
+        channels = np.moveaxis(texels, -1, 0)
+        return np.concatenate([encode_bc4(channel * scale) for channel in channels], axis=-1).tobytes()
     ispc: Any = importlib.import_module("ispc_texcomp")
-
-    height, width, channels = texels.shape
+    height, width, count = texels.shape
     dtype = np.float16 if pixels.is_float else np.uint8
     packed = np.ascontiguousarray(texels, dtype)
-    # One and two channels go in packed, with their own stride: RGBA would be read as garbage.
-    surface = ispc.RGBASurface(packed.tobytes(), width, height, width * channels * packed.itemsize)
-    if pixels.name == "bc4":
-        return ispc.compress_blocks_bc4(surface)
-    if pixels.name == "bc5":
-        return ispc.compress_blocks_bc5(surface)
+    surface = ispc.RGBASurface(packed.tobytes(), width, height, width * count * packed.itemsize)
     if pixels.name == "bc6h":
         return ispc.compress_blocks_bc6h(surface, ispc.BC6HEncSettings.from_profile(_BC6H[effort]))
     opaque = bool((texels[..., 3] == 255).all())

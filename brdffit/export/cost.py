@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from brdffit.colour import decode_srgb
 from brdffit.export.channels import decode
 from brdffit.export.decompression import decode_blocks
+from brdffit.export.factors import Factors
 from brdffit.export.formats import PixelFormat
 from brdffit.export.judging import HIGHEST_DB, degrees_between, random_places, signal_to_noise, texels_of
 from brdffit.export.presets import Picture
@@ -23,10 +24,12 @@ class Cost:
     Args:
         levels: what was baked.
         normal_y: the preset's convention.
+        factors: of the material that is written.
     """
 
-    def __init__(self, levels: Sequence[Svbrdf], normal_y: str) -> None:
+    def __init__(self, levels: Sequence[Svbrdf], normal_y: str, factors: Factors) -> None:
         self._normal_y = normal_y
+        self._factors = factors
         self._sizes = [level.size for level in levels]
         self._places = [random_places(size, k) for k, size in enumerate(self._sizes)]
         self._baked = [texels_of(level, places) for level, places in zip(levels, self._places, strict=True)]
@@ -64,23 +67,26 @@ class Cost:
         ``appearance_db`` and ``lobe_db``: SNR of the decoded pictures against what was baked, with colours and of the
         lobe alone; ``normal_degrees``: mean angle between normals. Where there are blocks also ``compression_lobe_db``,
         ``compression_roughness_db`` (with the normals as they were) and ``compression_normal_degrees``: the same of the
-        decoded pictures against the codes that were compressed.
+        decoded pictures against what was compressed; and ``floor_lobe_db`` and ``floor_normal_degrees``, of that
+        against what was baked: no encoder of blocks of 8 bits can be expected to keep more.
         """
         found = []
         for baked, before, after in zip(self._baked, self._before, self._after, strict=True):
-            stored = decode(after, self._normal_y)
+            stored = decode(after, self._normal_y, self._factors)
             record = {
                 "appearance_db": signal_to_noise(baked, stored),
                 "lobe_db": signal_to_noise(baked, stored, lobe_alone=True),
                 "normal_degrees": float(degrees_between(baked.normal, stored.normal).mean()),
             }
             if self._compressed:
-                codes = decode(before, self._normal_y)
+                codes = decode(before, self._normal_y, self._factors)
                 record["compression_lobe_db"] = signal_to_noise(codes, stored, lobe_alone=True)
                 # With the same normals: what is left is the roughness tensor.
                 held = stored.replace(normal=codes.normal)
                 record["compression_roughness_db"] = signal_to_noise(codes, held, lobe_alone=True)
                 record["compression_normal_degrees"] = float(degrees_between(codes.normal, stored.normal).mean())
+                record["floor_lobe_db"] = signal_to_noise(baked, codes, lobe_alone=True)
+                record["floor_normal_degrees"] = float(degrees_between(baked.normal, codes.normal).mean())
             # Rounded well above the noise of sums, so that manifests agree to the byte.
             found.append({name: round(value, 3 if "degrees" in name else 2) for name, value in record.items()})
         return found

@@ -1,4 +1,7 @@
-"""Blocks back to texels, to measure what compression has cost: by OpenImageIO (BC) and by Basis Universal (UASTC)."""
+"""Blocks back to texels, to measure what compression has cost: by OpenImageIO and by Basis Universal (UASTC).
+
+BC4 and BC5 are decoded here: OpenImageIO rounds them to 8 bits, which graphics processors do not.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.export.bc4 import decode_bc4
 from brdffit.export.compression import require_basis
 from brdffit.export.dds import header
 from brdffit.export.formats import PixelFormat, chain
@@ -28,6 +32,10 @@ def decode_blocks(pixels: PixelFormat, size: tuple[int, int], data: bytes) -> ND
         return texels if pixels.is_float else texels / np.float32(255.0)
     if pixels.dxgi is None:
         return _decode_uastc(pixels, size, data)
+    if pixels.name in ("bc4", "bc5"):
+        blocks = np.frombuffer(data, np.uint8).reshape(-(-height // 4), -(-width // 4), pixels.channels, 8)
+        decoded = [decode_bc4(blocks[:, :, channel]) for channel in range(pixels.channels)]
+        return np.stack(decoded, axis=-1)[:height, :width]
     return _read(header(pixels, size, 1) + data, ".dds")[..., : pixels.channels]
 
 

@@ -70,6 +70,11 @@ class PixelFormat:
         """Whether numbers are floats."""
         return bool(self.samples[0].channel & 0x80)
 
+    @property
+    def takes_floats(self) -> bool:
+        """Whether its encoder makes more of floats than of codes: floats, and blocks finer than 8 bits."""
+        return self.is_float or self.name in ("bc4", "bc5")
+
     def level_bytes(self, size: tuple[int, int]) -> int:
         """Bytes of a level of ``size`` (height, width), rounded up to whole blocks."""
         height, width = size

@@ -13,14 +13,17 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.export.factors import Factors
+
 _ARRAY, _ELEMENTS = 34962, 34963
 _FLOAT, _UNSIGNED_SHORT = 5126, 5123
+_PLAIN = Factors()
 _LINEAR, _TRILINEAR, _REPEAT, _CLAMP = 9729, 9987, 10497, 33071
 
 
 def write_glb(
     file: BinaryIO, textures: Mapping[str, bytes], name: str, size: tuple[int, int], wrap: str, *, alpha: str = "",
-    cutoff: float | None = None,
+    cutoff: float | None = None, factors: Factors = _PLAIN,
 ) -> None:  # fmt: skip
     """Write a GLB.
 
@@ -31,6 +34,7 @@ def write_glb(
         size: (height, width) of level 0; the square becomes a rectangle of these proportions, its longer side 2 wide.
         wrap: "tile" or "clamp".
         alpha: "mask", "blend" or "": what the base colour's alpha is. cutoff: of a mask.
+        factors: by which the pictures are divided, and which the material multiplies.
 
     Raises:
         OSError: when the file cannot be written.
@@ -66,8 +70,12 @@ def write_glb(
     packed = {"index": index["occlusionRoughnessMetallic"]}
     material: dict[str, Any] = {
         "name": name,
-        "pbrMetallicRoughness": {"baseColorTexture": {"index": index["baseColor"]}, "metallicRoughnessTexture": packed},
-        "normalTexture": {"index": index["normal"]},
+        "pbrMetallicRoughness": {
+            "baseColorTexture": {"index": index["baseColor"]},
+            "metallicRoughnessTexture": packed,
+            "roughnessFactor": factors.roughness,
+        },
+        "normalTexture": {"index": index["normal"], "scale": factors.normal},
         "occlusionTexture": packed,
     }
     if "anisotropy" in index:
@@ -75,7 +83,7 @@ def write_glb(
         document["extensionsUsed"].sort()
         material["extensions"] = {
             "KHR_materials_anisotropy": {
-                "anisotropyStrength": 1.0,
+                "anisotropyStrength": factors.strength,
                 "anisotropyRotation": 0.0,
                 "anisotropyTexture": {"index": index["anisotropy"]},
             }

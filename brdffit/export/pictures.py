@@ -1,13 +1,15 @@
 """Pictures of a preset: from levels to channels, codes and blocks, and into the files that an engine loads.
 
-One picture after another, all its levels at a time. What is written is decoded again and held against what was baked,
+Two pictures at a time, all levels of each. What is written is decoded again and held against what was baked,
 see ``cost``.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import io
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +19,13 @@ from numpy.typing import NDArray
 from brdffit.colour import decode_srgb, encode_srgb
 from brdffit.errors import OutputError
 from brdffit.export.beside import write_beside
-from brdffit.export.channels import Channels, decode, gltf_strength_from_alphas
+from brdffit.export.channels import Channels, decode
 from brdffit.export.compression import check_compression, encode_level, encode_uastc, require_basis
 from brdffit.export.cost import Cost
 from brdffit.export.coverage import share_above, with_alpha, with_kept_coverage
 from brdffit.export.dds import write_dds
 from brdffit.export.decompression import decode_blocks
+from brdffit.export.factors import Factors, factors_of
 from brdffit.export.formats import FORMATS, PixelFormat
 from brdffit.export.gltf import write_glb
 from brdffit.export.ktx2 import write_ktx2
@@ -30,10 +33,11 @@ from brdffit.export.presets import Picture, Preset
 from brdffit.files.image_io import write_mip_exr, write_png
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.methods import Pyramid
-from brdffit.roughness import eigenvalues_of_log, log_from_tensor, tensor_from_log
+from brdffit.roughness import log_from_tensor, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 _TEXELS_PER_BAND = 1 << 20
+_PICTURES_AT_ONCE = 2
 #: Float arithmetic may leave [0, 1] by a few ulps where nothing is lost.
 _SLACK = 1e-5
 
@@ -87,47 +91,78 @@ def write_pictures(
     levels = with_kept_coverage(levels)
     folder = fresh / ("mips" if preset.container == "png" else preset.name)
     folder.mkdir()
-    drawing, cost = Drawing(levels, preset.normal_y), Cost(levels[: len(pyramid)], preset.normal_y)
-    records: dict[str, Any] = {}
-    textures: dict[str, bytes] = {}
-    for picture in preset.pictures:
-        if picture.needs == "anisotropy" and pyramid.options.lobe != "anisotropic":
-            continue
-        if picture.needs == "occlusion" and levels[0].occlusion is None:
-            continue
-        picture = with_alpha(picture, levels[0])
-        pixels = pixels_of(picture, preset, bits)
-        is_float = preset.container == "exr" or (pixels is not None and pixels.is_float)
-        srgb = picture.srgb and not is_float
-        encoded, clipped = drawing.draw(picture, srgb, None if is_float else bits)
+    drawing = Drawing(levels, preset)
+    cost = Cost(levels[: len(pyramid)], preset.normal_y, drawing.factors)
+    chosen = [with_alpha(picture, levels[0]) for picture in wanted_pictures(preset, pyramid)]
+
+    def write(picture: Picture) -> tuple[dict[str, Any], bytes]:
         path = folder / f"{name}_{picture.role}.{preset.container}"
-        data = None if pixels is None else to_blocks(pixels, encoded, compress)
-        if pixels is None or data is None:
-            _write_plain(path, picture, encoded)
-        elif preset.container == "glb":
-            file = io.BytesIO()
-            write_ktx2(file, pixels, levels[0].size, data.__getitem__, zstd=preset.zstd)
-            textures[picture.role] = file.getvalue()
-        else:
-            with path.open("wb") as stream:
-                if preset.container == "dds":
-                    write_dds(stream, pixels, levels[0].size, data.__getitem__)
-                else:
-                    write_ktx2(stream, pixels, levels[0].size, data.__getitem__, zstd=preset.zstd)
-        records[picture.role] = {
-            "channels": picture.channels,
-            "srgb": srgb,
-            "pixels": f"unorm{bits}" if pixels is None and not is_float else "float" if pixels is None else pixels.name,
-            "clipped_values": clipped,
-            **cost.add(picture, srgb, encoded, pixels, data),
-        }
+        return _write_picture(path, picture, preset, bits, compress, drawing, cost)
+
+    # Two at a time: the encoder of UASTC uses one core.
+    with ThreadPoolExecutor(_PICTURES_AT_ONCE) as pool:
+        waiting = [pool.submit(write, picture) for picture in chosen]
+        try:
+            made = [each.result() for each in waiting]
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    roles = [picture.role for picture in chosen]
     if preset.container == "glb":
         with (folder / f"{name}.glb").open("wb") as stream:
             cutoff = levels[0].cutoff if levels[0].alpha == "mask" else None
             alpha = levels[0].alpha if levels[0].opacity is not None else ""
-            write_glb(stream, textures, name, levels[0].size, levels[0].wrap, alpha=alpha, cutoff=cutoff)
-    write_beside(preset, folder, name, levels[0].wrap, list(records))
-    return {"pictures": records, "stored": cost.figures()} | _of_alpha(levels)
+            textures = {role: data for role, (_, data) in zip(roles, made, strict=True)}
+            write_glb(
+                stream, textures, name, levels[0].size, levels[0].wrap, alpha=alpha, cutoff=cutoff,
+                factors=drawing.factors,
+            )  # fmt: skip
+    write_beside(preset, folder, name, levels[0].wrap, roles)
+    records = {role: record for role, (record, _) in zip(roles, made, strict=True)}
+    factors = {"factors": dataclasses.asdict(drawing.factors)} if preset.factors else {}
+    return {"pictures": records, "stored": cost.figures()} | factors | _of_alpha(levels)
+
+
+def wanted_pictures(preset: Preset, pyramid: Pyramid) -> list[Picture]:
+    """The pictures of a preset for which a pyramid has something."""
+    has = {
+        "": True,
+        "anisotropy": pyramid.options.lobe == "anisotropic",
+        "occlusion": pyramid.levels[0].svbrdf.occlusion is not None,
+    }
+    return [picture for picture in preset.pictures if has[picture.needs]]
+
+
+def _write_picture(
+    path: Path, picture: Picture, preset: Preset, bits: int, compress: str, drawing: Drawing, cost: Cost
+) -> tuple[dict[str, Any], bytes]:
+    """Write all levels of a picture; what the manifest says of it, and for a GLB the KTX2 file that goes into it."""
+    pixels = pixels_of(picture, preset, bits)
+    srgb, codes = encoding_of(picture, preset, pixels, bits)
+    encoded, clipped = drawing.draw(picture, srgb, codes)
+    size = drawing.size
+    data = None if pixels is None else to_blocks(pixels, encoded, compress)
+    texture = b""
+    if pixels is None or data is None:
+        _write_plain(path, picture, encoded)
+    elif preset.container == "glb":
+        file = io.BytesIO()
+        write_ktx2(file, pixels, size, data.__getitem__, zstd=preset.zstd)
+        texture = file.getvalue()
+    else:
+        with path.open("wb") as stream:
+            if preset.container == "dds":
+                write_dds(stream, pixels, size, data.__getitem__)
+            else:
+                write_ktx2(stream, pixels, size, data.__getitem__, zstd=preset.zstd)
+    record = {
+        "channels": picture.channels,
+        "srgb": srgb,
+        "pixels": pixels.name if pixels is not None else "float" if codes is None else f"unorm{codes}",
+        "clipped_values": clipped,
+        **cost.add(picture, srgb, encoded, pixels, data),
+    }
+    return record, texture
 
 
 def _of_alpha(levels: Sequence[Svbrdf]) -> dict[str, Any]:
@@ -144,24 +179,28 @@ def _of_alpha(levels: Sequence[Svbrdf]) -> dict[str, Any]:
 def stored_levels(pyramid: Pyramid, preset: Preset, compress: str = "good") -> list[Svbrdf]:
     """What an engine gets: the levels of a pyramid drawn as a preset's pictures of 8 bits, compressed and decoded."""
     levels = [level.svbrdf for level in pyramid.levels]
-    drawing = Drawing(levels, preset.normal_y)
+    drawing = Drawing(levels, preset)
     channels: list[dict[str, NDArray]] = [{} for _ in levels]
-    for picture in preset.pictures:
-        if picture.needs == "anisotropy" and pyramid.options.lobe != "anisotropic":
-            continue
+    for picture in wanted_pictures(preset, pyramid):
         pixels = pixels_of(picture, preset, 8)
-        is_float = preset.container == "exr"
-        srgb = picture.srgb and not is_float
-        codes, _ = drawing.draw(picture, srgb, None if is_float else 8)
-        data = None if pixels is None else to_blocks(pixels, codes, compress)
-        for level, exact in enumerate(codes):
-            stored = exact if is_float else exact / np.float32(255.0)
+        srgb, bits = encoding_of(picture, preset, pixels, 8)
+        encoded, _ = drawing.draw(picture, srgb, bits)
+        data = None if pixels is None else to_blocks(pixels, encoded, compress)
+        for level, exact in enumerate(encoded):
+            stored = exact if bits is None else exact / np.float32(2**bits - 1)
             if pixels is not None and data is not None:
                 stored = decode_blocks(pixels, exact.shape[:2], data[level])
             for place, channel in enumerate(picture.channels):
                 values = stored[..., place]
                 channels[level][channel] = decode_srgb(values) if srgb and place < 3 else values
-    return [decode(each, preset.normal_y).replace(wrap=levels[0].wrap) for each in channels]
+    return [decode(each, preset.normal_y, drawing.factors).replace(wrap=levels[0].wrap) for each in channels]
+
+
+def encoding_of(picture: Picture, preset: Preset, pixels: PixelFormat | None, bits: int) -> tuple[bool, int | None]:
+    """Whether a picture is encoded as sRGB, and bits of its codes; None where its encoder takes floats."""
+    is_float = preset.container == "exr" or (pixels is not None and pixels.is_float)
+    takes_floats = is_float or (pixels is not None and pixels.takes_floats)
+    return picture.srgb and not is_float, None if takes_floats else bits
 
 
 def pixels_of(picture: Picture, preset: Preset, bits: int) -> PixelFormat | None:
@@ -189,16 +228,24 @@ def to_blocks(pixels: PixelFormat, levels: Sequence[NDArray], compress: str) -> 
 
 
 class Drawing:
-    """Draws pictures of levels: one half plane for all directions, and one scale for their lengths.
+    """Draws pictures of levels: one half plane for all directions, one scale for their lengths, the same factors.
 
     Trilinear filtering would otherwise mix a direction with its opposite.
     """
 
-    def __init__(self, levels: Sequence[Svbrdf], normal_y: str) -> None:
+    def __init__(self, levels: Sequence[Svbrdf], preset: Preset) -> None:
+        most = factors_of(levels)
         self._levels = levels
-        self._normal_y = normal_y
+        self._normal_y = preset.normal_y
         self._towards = dominant_direction(levels[0])
-        self._strongest = max(strongest_anisotropy(level) for level in levels)
+        self._strongest = most.strength
+        #: By which values are divided: what the preset's material multiplies.
+        self.factors = most if preset.factors else Factors()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of level 0."""
+        return self._levels[0].size
 
     def draw(self, picture: Picture, srgb: bool, bits: int | None) -> tuple[list[NDArray], list[int]]:
         """(H, W, C) of each level, and how many values of it lay outside [0, 1] and were clipped.
@@ -213,7 +260,7 @@ class Drawing:
             out = np.empty((*level.size, len(picture.channels)), np.float32 if bits is None else f"uint{bits}")
             clipped = 0
             for rows in bands(level.size):
-                channels = Channels(rows_of(level, rows), self._normal_y, self._towards, self._strongest)
+                channels = Channels(rows_of(level, rows), self._normal_y, self._towards, self._strongest, self.factors)
                 for place, channel in enumerate(picture.channels):
                     values = channels[channel]
                     clipped += int(np.count_nonzero((values < -_SLACK) | (values > 1.0 + _SLACK)))
@@ -235,12 +282,6 @@ def dominant_direction(svbrdf: Svbrdf) -> tuple[float, float]:
     a, b, c = svbrdf.log_roughness.reshape(-1, 3).mean(axis=0, dtype=np.float64)
     angle = 0.5 * np.arctan2(2.0 * c, a - b)
     return float(np.cos(angle)), float(np.sin(angle))
-
-
-def strongest_anisotropy(svbrdf: Svbrdf) -> float:
-    """The largest strength of glTF that a level has."""
-    major, minor = eigenvalues_of_log(svbrdf.log_roughness)
-    return float(gltf_strength_from_alphas(np.sqrt(major), np.sqrt(minor)).max())
 
 
 def full_chain(levels: Sequence[Svbrdf]) -> list[Svbrdf]:

@@ -49,6 +49,7 @@ class Preset:
         container: one of CONTAINERS.
         zstd: level of Zstandard in KTX2 files, or None.
         beside: what else is written: "unity" (.meta files), "documents" (.mtlx and .usda), or "".
+        factors: whether the material that is written multiplies what its pictures hold, see `factors`.
         note: what the engine's user has to set, one sentence or two.
     """
 
@@ -62,6 +63,7 @@ class Preset:
     container: str = "png"
     zstd: int | None = None
     beside: str = ""
+    factors: bool = False
     note: str = ""
 
 
@@ -82,11 +84,11 @@ _PLAIN = (
 )
 
 
-def _gltf(pixels: str) -> tuple[Picture, ...]:
+def _gltf(pixels: str, normal: Picture) -> tuple[Picture, ...]:
     strength = ("direction_x", "direction_y", "gltf_strength")
     return (
         Picture("baseColor", _BASE_COLOR, srgb=True, pixels=pixels),
-        Picture("normal", _NORMAL, pixels=pixels),
+        normal,
         Picture("occlusionRoughnessMetallic", ("occlusion", "gltf_roughness", "metallic"), pixels=pixels),
         Picture("anisotropy", strength, needs="anisotropy", pixels=pixels),
     )
@@ -118,19 +120,20 @@ _PRESETS = (
         roughness=_OF_GLTF,
         lobe="anisotropic",
         specular="held",
-        pictures=_gltf("uastc"),
+        pictures=_gltf("uastc", Picture("normal", _NORMAL, pixels="uastc")),
         container="glb",
         zstd=10,
+        factors=True,
         note="The loader needs a Basis transcoder (KTX2Loader in three.js).",
     ),
     Preset(
         name="three",
-        summary="KTX2 with BC7 for three.js and Bevy: channels as glTF has them",
+        summary="KTX2 with BC7 and BC5 for three.js and Bevy: channels as glTF has them",
         normal_y="gl",
         roughness=_OF_GLTF,
         lobe="anisotropic",
         specular="held",
-        pictures=_gltf("bc7"),
+        pictures=_gltf("bc7", Picture("normal", _NORMAL[:2], pixels="bc5")),
         container="ktx2",
         zstd=10,
         note="Desktop GPUs alone read BC7; `gltf` serves the others.",
