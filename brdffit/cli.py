@@ -28,6 +28,7 @@ from brdffit.cli_options import (
 )
 from brdffit.errors import BrdffitError, UnknownNameError
 from brdffit.learned.cli import learn
+from brdffit.neural.cli import neural
 from brdffit.probes.cli import probe
 from brdffit.textures import READING_OPTIONS
 from brdffit.viewer.cli import view
@@ -58,6 +59,7 @@ def main() -> None:
 
 main.add_command(probe)
 main.add_command(learn)
+main.add_command(neural)
 main.add_command(view)
 
 

@@ -44,7 +44,7 @@ class Task(Protocol):
         ...
 
     def rate(self, step: int, done: float) -> float:
-        """Learning rate at a step, and share of the training that is done."""
+        """Learning rate at a step, and share of the training that is done; asked before that step's batch."""
         ...
 
     def accumulate(self, rng: np.random.Generator) -> float:
@@ -103,8 +103,8 @@ def train(
         done = step / steps if steps is not None else seconds / (60.0 * (minutes or 0.0))
         if done >= 1.0:
             break
-        losses.append(task.accumulate(np.random.default_rng([seed, step])))
         rate = task.rate(step, done)
+        losses.append(task.accumulate(np.random.default_rng([seed, step])))
         for name, network in networks.items():
             optimisers[name].step(network.weights, network.gradient, rate)
         step += 1

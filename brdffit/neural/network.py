@@ -155,14 +155,18 @@ class Reader:
         self.offset_texture = np.zeros(network.base.floats, np.float32)
         self.refresh(0.0)
 
-    def refresh(self, sigma: float) -> None:
-        """Read the textures through a Gaussian of ``sigma`` texels of level 0."""
+    def refresh(self, sigma: float, as_stored: bool = False) -> None:
+        """Read the textures through a Gaussian of ``sigma`` texels of level 0, or that as files hold it: in 16 bits."""
+        network = self.network
         jobs = [
-            self.pool.submit(self.network.layout.read_through, self.network.pyramid, sigma, self.pyramid),
-            self.pool.submit(self.network.base.read_through, self.network.offset_texture, sigma, self.offset_texture),
+            self.pool.submit(network.layout.read_through, network.pyramid, sigma, self.pyramid),
+            self.pool.submit(network.base.read_through, network.offset_texture, sigma, self.offset_texture),
         ]
         for job in jobs:
             job.result()
+        if as_stored:
+            for texture in (self.pyramid, self.offset_texture):
+                texture[:] = texture.astype(np.float16)
 
     def in_parts(self, count: int, work: Callable[[int, int, int], None]) -> None:
         """Call work(part, first, last) on the parts of ``count`` blocks, on all threads."""
@@ -226,9 +230,9 @@ class Learner(Reader):
         self.sums = {name: np.zeros(size, np.float32) for name, size in sizes.items()}
         self.sigma = 0.0
 
-    def refresh(self, sigma: float) -> None:
+    def refresh(self, sigma: float, as_stored: bool = False) -> None:
         """See ``Reader``; gradients go back through the same blur."""
-        super().refresh(sigma)
+        super().refresh(sigma, as_stored)
         self.sigma = sigma
 
     def accumulate(self, queries: NDArray, targets: NDArray, logarithmic: bool) -> tuple[float, dict[str, NDArray]]:

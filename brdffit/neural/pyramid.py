@@ -64,21 +64,22 @@ class Layout:
     def pull_back(self, gradient: NDArray, sigma: float) -> NDArray:
         """The gradient by ``texture`` (learned,) from that by what ``read_through`` wrote: it is its own adjoint."""
         texels = np.empty(self.learned, np.float32)
-        for k, (height, width) in enumerate(self.sizes):
-            first = self.rooms[k, 0]
-            rows = gradient[first : first + height * (width + 1) * TEXEL].reshape(height, width + 1, TEXEL)
-            own = texels[self.bounds[k] : self.bounds[k + 1]].reshape(height, width, TEXEL)
+        for k, rows in enumerate(self.levels(gradient)):
+            own = texels[self.bounds[k] : self.bounds[k + 1]].reshape(*self.sizes[k], TEXEL)
             own[:] = rows[:, :-1]
             own[:, 0] += rows[:, -1]
         if sigma < _NO_BLUR:
             return texels
         out = np.empty(self.floats, np.float32)
         self.read_through(texels, sigma, out)
-        for k, (height, width) in enumerate(self.sizes):
-            first = self.rooms[k, 0]
-            rows = out[first : first + height * (width + 1) * TEXEL].reshape(height, width + 1, TEXEL)
-            texels[self.bounds[k] : self.bounds[k + 1]].reshape(height, width, TEXEL)[:] = rows[:, :-1]
-        return texels
+        return np.concatenate([rows[:, :-1].reshape(-1) for rows in self.levels(out)])
+
+    def levels(self, laid_out: NDArray) -> list[NDArray]:
+        """Views (h, w + 1, 8) of each level in the kernels' layout; the last column is the first once more."""
+        return [
+            laid_out[first : first + height * (width + 1) * TEXEL].reshape(height, width + 1, TEXEL)
+            for (first, _, _), (height, width) in zip(self.rooms.tolist(), self.sizes, strict=True)
+        ]
 
 
 def periodic_taps(sigma: float, length: int) -> NDArray:

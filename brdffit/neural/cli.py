@@ -1,0 +1,102 @@
+"""The commands ``brdffit neural ...``: they parse and call; heavy imports stand inside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from brdffit.cli_options import reading_options
+
+_FILE = click.argument("file", metavar="MATERIAL.npz", type=click.Path(path_type=Path))
+
+
+@click.group()
+def neural() -> None:
+    """Learn a surface with parallax and shadows as a small network (Kuznetsov et al. 2021), draw it, describe it."""
+
+
+@neural.command()
+@click.argument("source", metavar="SET", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("material.npz"))
+@click.option("--size", type=int, default=128, help="Texels of the longer side of level 0, a power of two.")
+@click.option("--minutes", type=click.FloatRange(0, min_open=True), show_default="10", help="Of training.")
+@click.option("--steps", type=click.IntRange(min=1), help="Instead of minutes: same seed, same material.")
+@click.option("--paper", is_flag=True, help="Exactly as the paper, instead of what was found to be better.")
+@click.option("--no-offset", is_flag=True, help="Without the learned parallax offset.")
+@click.option("--bounces", type=click.IntRange(0, 16), default=0, help="How often light goes from surface to surface.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of weights, queries and batches.")
+@click.option("--resume", is_flag=True, help="Go on from the checkpoint beside the output.")
+@click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
+@reading_options
+def train(
+    source: Path, output: Path, size: int, minutes: float | None, steps: int | None, paper: bool, no_offset: bool,
+    bounces: int, seed: int, resume: bool, threads: int | None, **reading: Any,
+) -> None:  # fmt: skip
+    """Learn SET, a texture set with a height map, from queries of its traced surface.
+
+    Writes the material, its curve as SVG and, while it is at work, a checkpoint each minute.
+    """
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from brdffit.errors import InputError
+    from brdffit.learned.training import train as run
+    from brdffit.neural.source import open_source
+    from brdffit.neural.training import NeuralTask
+
+    if minutes is not None and steps is not None:
+        raise click.UsageError("Give --minutes or --steps, not both.")
+    if output.suffix != ".npz":
+        raise InputError(f"The material '{output}' must bear a name that ends in .npz.")
+    if steps is None and minutes is None:
+        minutes = 10.0
+    opened = open_source(source, size, reading, bounces, threads)
+    for note in opened.notes:
+        click.echo(f"Note: {note}", err=True)
+    click.echo("Compiling, and tracing what is to be judged by ...", err=True)
+    task = NeuralTask(
+        opened.source, opened.size, seed, paper=paper, with_offset=not no_offset, threads=threads, named=opened.named
+    )
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[state]}"))
+    with Progress(*columns) as bar:
+        row = bar.add_task("training", total=1.0, state="")
+
+        def told(seconds: float, step: int, done: float, loss: float, figure: float | None) -> None:
+            bar.update(row, completed=done, state=f"step {step}, loss {loss:.5f}")
+            if figure is not None:
+                bar.console.print(f"{seconds / 60:6.1f} min  step {step}  {figure:.2f} dB on queries held out")
+
+        run(task, output, minutes=minutes, steps=steps, seed=seed, resume=resume, told=told)
+    click.echo(f"Wrote {output} and its curve {output.with_suffix('.svg')}.")
+
+
+@neural.command()
+@_FILE
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out"), help="Folder of the sheet.")
+@click.option("--truth", type=click.Path(path_type=Path), metavar="SET", show_default="what it was learned from")
+def render(file: Path, output: Path, truth: Path | None) -> None:
+    """Draw a contact sheet of all levels at 45 degrees, beside the truth and their difference."""
+    from brdffit.neural.material import read_material
+    from brdffit.neural.sheet import draw_sheet
+    from brdffit.neural.source import answers_for
+
+    material = read_material(file)
+    answers = answers_for(material, truth)
+    if answers is None:
+        click.echo("What it was learned from is not there: the sheet shows the material alone; see --truth.", err=True)
+    sheet = output / f"{file.stem}.png"
+    for level, figures in enumerate(draw_sheet(material, answers, sheet)):
+        click.echo(f"level {level}: MSE {1e3 * figures.mse:.3f}e-3, {figures.snr_db:.1f} dB")
+    click.echo(f"See {sheet}")
+
+
+@neural.command()
+@_FILE
+def info(file: Path) -> None:
+    """Say what MATERIAL.npz holds, what it was learned from, and how well."""
+    from brdffit.neural.material import read_material
+    from brdffit.neural.source import describe
+
+    for line in describe(read_material(file), file):
+        click.echo(line)

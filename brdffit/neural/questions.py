@@ -1,0 +1,103 @@
+"""Queries of a material that is learned: where, at what size, under which light and seen from where; and their answers.
+
+What is learned is pi times the radiance under a light whose irradiance on a surface that faces it is 1, so that a white
+diffuse surface which faces the light says 1, and nothing grows without bounds as the light sinks. The paper learns M,
+the radiance under an irradiance of 1 on the plane: the same over the cosine of the light.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.microgeometry.queries import QuerySource
+from brdffit.neural.kernels.dense import ROWS
+from brdffit.neural.kernels.material import QUERY
+
+#: Radius of the disc of projected directions that are learned: 78.5 degrees from the normal.
+RADIUS = 0.98
+#: Standard deviation of the filter of level 0, in texels of level 0; twice that at each further level.
+SIGMA = 0.5
+#: Share of queries whose light is near the mirror direction of the view, and how near (on the disc).
+_MIRRORED, _NEAR = 0.3, 0.15
+#: Finer levels hold more texels and are asked for more: level = last * u^this, u uniform.
+_TOWARDS_FINE = 1.5
+#: Queries a texel of level 0 in a batch, along an axis.
+_ACROSS = 2
+
+
+def batch_of(size: tuple[int, int], rng: np.random.Generator) -> NDArray:
+    """One batch of queries (n, QUERY) float32, four for each texel of level 0, in the order of rows.
+
+    Each has a cell of its own, a quarter of a texel, within which it stands at random: an even spread has less noise
+    than an uneven one, and neighbours read the same part of memory.
+    """
+    rows, columns = (max(_ACROSS * length, math.isqrt(ROWS)) for length in size)
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    queries = random_queries(rows * columns, size, rng)
+    queries[:, 0] = (column + rng.random(len(column))) * (size[1] / columns)
+    queries[:, 1] = (row + rng.random(len(row))) * (size[0] / rows)
+    return queries
+
+
+def random_queries(count: int, size: tuple[int, int], rng: np.random.Generator, level: float | None = None) -> NDArray:
+    """``count`` queries anywhere on a tile of ``size`` texels, of one level or of all."""
+    queries = np.zeros((count, QUERY), np.float32)
+    queries[:, :2] = rng.random((count, 2)) * size[::-1]
+    last = max(size).bit_length() - 1
+    queries[:, 2] = last * rng.random(count) ** _TOWARDS_FINE if level is None else level
+    view = on_disc(rng.random((count, 2)))
+    light = on_disc(rng.random((count, 2)))
+    near = rng.random(count) < _MIRRORED
+    light[near] = within_disc(-view[near] + _NEAR * rng.standard_normal((int(near.sum()), 2)))
+    queries[:, 3:5], queries[:, 5:7] = light, view
+    return queries
+
+
+def on_disc(u: NDArray) -> NDArray:
+    """Points (n, 2) evenly on the disc of ``RADIUS``, from (n, 2) numbers in [0, 1)."""
+    radius, angle = RADIUS * np.sqrt(u[:, 0]), 2.0 * np.pi * u[:, 1]
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+
+
+def within_disc(points: NDArray) -> NDArray:
+    """Points (n, 2), those beyond the disc of ``RADIUS`` brought to its edge."""
+    length = np.linalg.norm(points, axis=1, keepdims=True)
+    return points * np.minimum(1.0, RADIUS / np.maximum(length, 1e-9))
+
+
+def directions(queries: NDArray) -> tuple[NDArray, NDArray]:
+    """Unit vectors (n, 3) float64 to light and viewer."""
+    found = []
+    for first in (3, 5):
+        xy = queries[:, first : first + 2].astype(np.float64)
+        found.append(np.concatenate([xy, np.sqrt(1.0 - np.square(xy).sum(axis=1, keepdims=True))], axis=1))
+    return found[0], found[1]
+
+
+class Answers:
+    """A source, asked in texels of the neural material.
+
+    Args:
+        source: of a tile of any size.
+        size: of level 0 of the neural material; the same tile.
+        on_plane: answer with pi M, as the paper, instead of pi M times the light's cosine.
+    """
+
+    def __init__(self, source: QuerySource, size: tuple[int, int], on_plane: bool = False) -> None:
+        self.source, self.on_plane = source, on_plane
+        #: Texels of the source by texels of ours, (across, down).
+        self.scale = np.array(source.size[::-1], float) / np.array(size[::-1], float)
+
+    def to(self, queries: NDArray, seed: int, samples: int = 1) -> NDArray:
+        """(n, 3) float32: the mean of so many estimates."""
+        light, view = directions(queries)
+        position = queries[:, :2].astype(np.float64) * self.scale
+        sigma = SIGMA * np.exp2(queries[:, 2].astype(np.float64)) * math.sqrt(self.scale.prod())
+        total = np.zeros((len(queries), 3), np.float32)
+        for k in range(samples):
+            total += self.source.query(position, sigma, light, view, seed + k)
+        factor = math.pi / samples * (1.0 if self.on_plane else light[:, 2:])
+        return np.ascontiguousarray(total * factor, np.float32)

@@ -1,0 +1,119 @@
+"""What a neural material is learned from: a texture set with a height map, traced, or a file of queries."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from brdffit.errors import InputError
+from brdffit.microgeometry.queries import QuerySource
+from brdffit.microgeometry.tracer import Effects, Microgeometry
+from brdffit.neural.material import NeuralMaterial
+from brdffit.neural.questions import Answers
+from brdffit.textures.conversion import to_svbrdf
+from brdffit.textures.reading import read_texture_set
+
+#: Sides of level 0 that can be learned.
+_LEAST, _MOST = 4, 4096
+
+
+class Opened(NamedTuple):
+    """A source, the size of level 0, what the file of weights says of them, and sentences for the user."""
+
+    source: QuerySource
+    size: tuple[int, int]
+    named: dict[str, Any]
+    notes: list[str]
+
+
+def open_source(
+    path: Path, side: int, reading: Mapping[str, Any], bounces: int = 0, threads: int | None = None
+) -> Opened:
+    """What answers queries of a texture set, and the size at which it is learned.
+
+    Args:
+        path: a texture set with a height map.
+        side: texels of the longer side of level 0.
+        reading: how the set is read, see ``brdffit.textures.reading``.
+        bounces: how often light goes from the surface to itself.
+        threads: None: all cores.
+
+    Raises:
+        InputError: when the set cannot be read or has no height map, or the size cannot be learned.
+    """
+    source = open_traced(path, reading, bounces, threads)
+    size, notes = learned_size(source.size, side)
+    named = {
+        "source": str(path), "source_size": list(source.size), "bounces": bounces,
+        "reading": {name: value for name, value in reading.items() if value},
+    }  # fmt: skip
+    return Opened(source, size, named, [*source.notes, *notes])
+
+
+def open_traced(path: Path, reading: Mapping[str, Any], bounces: int = 0, threads: int | None = None) -> Microgeometry:
+    """The traced surface of a texture set.
+
+    Raises:
+        InputError: when the set cannot be read or has no height map.
+    """
+    svbrdf = to_svbrdf(read_texture_set(path, **{name: value for name, value in reading.items() if value}))
+    if svbrdf.height is None:
+        raise InputError(
+            f"'{path}' has no height map and a neural material is learned from one: give --role height=FILE."
+        )
+    return Microgeometry.of(svbrdf, Effects(bounces=bounces), threads=threads)
+
+
+def learned_size(source: tuple[int, int], side: int) -> tuple[tuple[int, int], list[str]]:
+    """Level 0 for a tile of ``source`` (height, width) texels, its longer side ``side``: powers of two, and notes.
+
+    Raises:
+        InputError: for a side that cannot be learned.
+    """
+    if not _LEAST <= side <= _MOST:
+        raise InputError(f"A neural material of {side} texels a side cannot be learned, expected {_LEAST} to {_MOST}.")
+    exact = [side * length / max(source) for length in source]
+    height, width = (1 << max(round(math.log2(length)), 0) for length in exact)
+    notes = []
+    if (height, width) != tuple(exact):
+        notes.append(
+            f"Sides must be powers of two: the tile of {source[1]}x{source[0]} texels is learned as {width}x{height}."
+        )
+    if max(height, width) > max(source):
+        notes.append(
+            "The material is learned at more texels than its maps have: level 0 holds nothing finer than they."
+        )
+    return (height, width), notes
+
+
+def answers_for(material: NeuralMaterial, truth: Path | None) -> Answers | None:
+    """The truth of a material: of the set given, or of what it was learned from; None where that is gone."""
+    meta = material.meta
+    reading, path = {}, truth
+    if truth is None:
+        reading, path = dict(meta.get("reading") or {}), Path(str(meta.get("source", "")))
+        if not path.exists() or "source" not in meta:
+            return None
+    assert path is not None
+    source = open_traced(path, reading, int(meta.get("bounces", 0)))
+    return Answers(source, material.network.design.size, material.on_plane)
+
+
+def describe(material: NeuralMaterial, path: Path) -> list[str]:
+    """Sentences on a material and its file."""
+    meta, design = material.meta, material.network.design
+    height, width = design.size
+    how = "as the paper" if meta.get("paper") else "with a learned tilt"
+    lines = [
+        f"{path.name}: {width}x{height} texels, {len(material.network.layout.sizes)} levels, "
+        f"{design.weights} weights, {'with' if design.with_offset else 'without'} offset, {how}; "
+        f"{path.stat().st_size / 1024:.0f} KiB",
+        f"learned from {meta.get('source', 'an unknown source')} in {meta.get('steps')} steps, "
+        f"{float(meta.get('seconds') or 0.0) / 60:.1f} minutes, seed {meta.get('seed')}, "
+        f"light bouncing {meta.get('bounces', 0)} times",
+    ]
+    levels = zip(meta.get("mse_by_level", ()), meta.get("snr_db_by_level", ()), strict=False)
+    lines += [f"level {k}: MSE {1e3 * mse:.3f}e-3, {snr:.1f} dB" for k, (mse, snr) in enumerate(levels)]
+    return lines

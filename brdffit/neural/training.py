@@ -1,0 +1,228 @@
+"""Training of a neural material: fresh queries, a blur that fades, a figure on queries that are never learned.
+
+As the paper (``paper=True``): a fixed set of queries of 64 samples each, directions as they are, the loss of
+logarithms, the blur 8 texels wide at first and halved every ninth of the training. By default directions are seen from
+a learned tilt, the loss has no bias, so that one sample a query is enough, queries are always new (each is learned a
+few times, for tracing one takes longer than learning it), and the blur is gone by half of the training.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError
+from brdffit.microgeometry.queries import QuerySource
+from brdffit.nets.adam import Adam
+from brdffit.neural.kernels.dense import MATRIX
+from brdffit.neural.kernels.material import LAYERS, QUERY
+from brdffit.neural.material import KIND, arrays_of, meta_of
+from brdffit.neural.network import PARTS, Design, Learner, Network
+from brdffit.neural.questions import Answers, batch_of, random_queries
+
+#: Learning rates of networks and of textures, and what they fall to in the second half.
+_RATE, _TEXTURE_RATE, _LAST = 3e-3, 1e-2, 0.01
+#: One rate of the paper's training.
+_PAPER_RATE = 1e-3
+#: How often a batch is learned, by how many batches are kept to draw from.
+_LEARNED, _KEPT = 4, 12
+#: Queries a texel and samples a query of the paper's fixed set.
+_PAPER_QUERIES, _PAPER_SAMPLES = 220, 64
+#: First blur in texels.
+_BLUR = 8.0
+#: Queries a level of the figure, and samples of each.
+_JUDGED, _JUDGED_SAMPLES = 4096, 64
+_SEED_OF_FIGURE = 1 << 40
+
+
+@dataclass
+class Trained:
+    """Parameters of one name as the training loop sees them."""
+
+    weights: NDArray
+    gradient: NDArray
+
+
+class Held:
+    """Queries that are never learned, at each level, with the mean of many samples.
+
+    Args:
+        answers: what is asked.
+        size: of level 0.
+        count, samples: a level.
+    """
+
+    def __init__(self, answers: Answers, size: tuple[int, int], count: int, samples: int) -> None:
+        self.queries, self.truth, self.on_plane = [], [], answers.on_plane
+        for level in range(max(size).bit_length()):
+            rng = np.random.default_rng([_SEED_OF_FIGURE, level])
+            self.queries.append(random_queries(count, size, rng, float(level)))
+            self.truth.append(answers.to(self.queries[-1], _SEED_OF_FIGURE + 1000 * level, samples))
+
+    def errors(self, learner: Learner) -> tuple[NDArray, NDArray]:
+        """(mean squared error, mean square of the truth) of each level; a white surface facing the light is 1."""
+        error, power = [], []
+        for queries, truth in zip(self.queries, self.truth, strict=True):
+            found = learner.predict(queries)
+            factor = 1.0
+            if self.on_plane:
+                factor = np.sqrt(1.0 - np.square(queries[:, 3:5]).sum(axis=1, keepdims=True))
+            error.append(float(np.square((found - truth) * factor).mean()))
+            power.append(float(np.square(truth * factor).mean()))
+        return np.array(error), np.array(power)
+
+
+class NeuralTask:
+    """A material, and what is trained of it: a ``Task`` of ``brdffit.learned.training``.
+
+    Args:
+        source: what answers queries.
+        size: (height, width) of level 0, powers of two.
+        seed: of initial weights, queries and batches.
+        paper: exactly as the paper.
+        with_offset: whether the offset is learned.
+        threads: None: all cores; no result depends on it.
+        named: what the source is, for the file.
+    """
+
+    kind = KIND
+
+    def __init__(
+        self, source: QuerySource, size: tuple[int, int], seed: int = 0, *, paper: bool = False,
+        with_offset: bool = True, threads: int | None = None, named: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
+        check_memory(size)
+        self.paper, self.seed, self.named = paper, seed, named or {}
+        self.network = Network(Design(size, not paper, with_offset), seed)
+        self.learner = Learner(self.network, threads)
+        self.answers = Answers(source, size, on_plane=paper)
+        self.trained = {name: Trained(each, np.zeros_like(each)) for name, each in self.network.parameters().items()}
+        self.held = Held(self.answers, size, _JUDGED, _JUDGED_SAMPLES)
+        self.batches: dict[int, tuple[NDArray, NDArray]] = {}
+        texels = size[0] * size[1]
+        self.kept = max(1, round(_PAPER_QUERIES * texels / len(batch_of(size, np.random.default_rng(0)))))
+        if not paper:
+            self.kept = max(_LEARNED, min(_KEPT, (256 << 20) // (4 * texels * 4 * (QUERY + 3))))
+        self.step, self.done = 0, 0.0
+
+    def networks(self) -> Mapping[str, Any]:
+        """Textures and networks."""
+        return self.trained
+
+    def optimiser(self, size: int) -> Adam:
+        """Adam; textures learn faster than networks unless all is as in the paper."""
+        if self.paper:
+            return _Scaled(size, _PAPER_RATE / _RATE, (0.9, 0.999))
+        return _Scaled(size, 1.0 if size == LAYERS * MATRIX else _TEXTURE_RATE / _RATE, (0.9, 0.99))
+
+    def rate(self, step: int, done: float) -> float:
+        """Held for the first half, then falling geometrically; the paper's never falls."""
+        self.step, self.done = step, done
+        if self.paper:
+            return _RATE
+        return _RATE * (1.0 if done < 0.5 else _LAST ** ((done - 0.5) / 0.5))
+
+    @property
+    def blur(self) -> float:
+        """Standard deviation in texels of level 0 under which textures are read now."""
+        return _BLUR * 2.0 ** (-(9.0 if self.paper else 12.0) * self.done)
+
+    def accumulate(self, rng: np.random.Generator) -> float:
+        """One batch: set the gradients; returns the loss."""
+        self.learner.refresh(self.blur)
+        queries, targets = self.batch(self._number(rng))
+        loss, gradients = self.learner.accumulate(queries, targets, self.paper)
+        for name, gradient in gradients.items():
+            self.trained[name].gradient = gradient
+        return loss
+
+    def _number(self, rng: np.random.Generator) -> int:
+        """Which batch is learned: a new one each ``_LEARNED`` steps, else one of those that are kept."""
+        if self.paper:
+            return self.step % self.kept
+        newest = self.step // _LEARNED
+        return newest if self.step % _LEARNED == 0 else max(newest - int(rng.integers(self.kept)), 0)
+
+    def batch(self, number: int) -> tuple[NDArray, NDArray]:
+        """Queries and targets of a batch, made by its number alone; the last few are kept."""
+        if number not in self.batches:
+            queries = batch_of(self.network.design.size, np.random.default_rng([self.seed, 2, number]))
+            samples = _PAPER_SAMPLES if self.paper else 1
+            seed = (self.seed << 24) + number * samples
+            self.batches[number] = queries, self.answers.to(queries, seed, samples)
+            if not self.paper:
+                for old in [each for each in self.batches if each <= number - self.kept]:
+                    del self.batches[old]
+        return self.batches[number]
+
+    def figure(self) -> float:
+        """Mean over levels of the SNR, with the textures as they are stored."""
+        self.learner.refresh(self.blur, as_stored=True)
+        error, power = self.held.errors(self.learner)
+        return float(np.mean(10.0 * np.log10(power / np.maximum(error, 1e-12))))
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Of the material, textures under the blur that there is still."""
+        self.learner.refresh(self.blur)
+        return arrays_of(self.learner)
+
+    def meta(self) -> dict[str, Any]:
+        """Provenance, and the errors of levels."""
+        self.learner.refresh(self.blur, as_stored=True)
+        error, power = self.held.errors(self.learner)
+        return {
+            **meta_of(self.network, self.paper),
+            **self.named,
+            "model": "neural",
+            "paper": self.paper,
+            "seed": self.seed,
+            "mse_by_level": [float(f"{each:.4g}") for each in error],
+            "snr_db_by_level": [
+                round(10.0 * math.log10(p / max(e, 1e-12)), 2) for p, e in zip(power, error, strict=True)
+            ],
+        }
+
+
+class _Scaled(Adam):
+    """Adam whose rate is a multiple of what it is given."""
+
+    def __init__(self, size: int, factor: float, betas: tuple[float, float]) -> None:
+        super().__init__(size, betas, 1e-8)
+        self.factor = factor
+
+    def step(self, weights: NDArray, gradient: NDArray, rate: float) -> None:
+        """See ``Adam``."""
+        super().step(weights, gradient, rate * self.factor)
+
+
+def needed_memory(size: tuple[int, int]) -> int:
+    """Bytes that training a material of this size takes, predicted."""
+    texels = size[0] * size[1]
+    # Two textures of 8 floats (the pyramid a third more): with moments, gradients of all parts, sums and copies.
+    textures = (8 * 4 * texels * 7 // 3) * (PARTS + 8)
+    batch = 4 * texels * 4 * (QUERY + 3)
+    return textures + max(min(_KEPT * batch, 256 << 20), _LEARNED * batch) + 4 * batch
+
+
+def check_memory(size: tuple[int, int]) -> None:
+    """Refuse a size that memory does not hold, before anything is made.
+
+    Raises:
+        InputError: with what is needed and what there is.
+    """
+    needed = needed_memory(size)
+    try:
+        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (ValueError, OSError, AttributeError):
+        return
+    if needed > free:
+        raise InputError(
+            f"Training a neural material of {size[1]}x{size[0]} texels needs about {needed / 2**30:.1f} GiB of memory "
+            f"and {free / 2**30:.1f} GiB are free: give a smaller --size."
+        )
