@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
-from brdffit.comparison.one_set import SetWork, fit_of
+from brdffit.comparison.one_set import MakeTruth, SetWork, fit_of
 from brdffit.comparison.surroundings import read_environment
 from brdffit.comparison.views import Studio
 from brdffit.machine import machine
@@ -30,6 +30,7 @@ def compare(
     sources: Sequence[str | os.PathLike[str] | TextureSet | Svbrdf],
     ask: Ask | Sequence[Ask] = Ask(),  # noqa: B008
     *,
+    truth: MakeTruth | None = None,
     command: str = "",
     listener: Listener | None = None,
 ) -> tuple[Comparison, PictureFiles]:
@@ -38,6 +39,8 @@ def compare(
     Args:
         sources: folders of textures, .gltf, .glb or .mtlx files, TextureSets or Svbrdfs.
         ask: what, and how closely; one for all sets, or one for each (of the same methods).
+        truth: makes what pictures and pairs of light and viewer are compared with, of a set as it was read; None: its
+            SVBRDF.
         command: that does the same again, for the record.
         listener: told of phases and texels.
 
@@ -56,7 +59,7 @@ def compare(
     pictures: PictureFiles = {}
     for number, source in enumerate(sources):
         name = _free_name(_name(source, number), [result.name for result in results])
-        work = SetWork(name, source, asks[number], methods, _studio(asks[number]), listener)
+        work = SetWork(name, source, asks[number], methods, _studio(asks[number]), listener, truth)
         results.append(work.run())
         pictures.update(work.pictures)
     options: dict[str, Any] = {name: _plain(value) for name, value in asdict(ask.shared).items()}

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.appearance import Truth
 from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
 from brdffit.comparison.lobes import lobe_view, model_of, representative_texels, same_place
 from brdffit.comparison.maps import map_strip
@@ -39,6 +40,8 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 _LOBE_LEVELS = (1, 3, 5)
 _MEASURE_NODES, _MEASURE_SAMPLES = 1024, (16, 96)
 _NO_LOBES = "It bakes no lobes: half-angle figures, lobes and roughness maps are left out."
+#: Makes a truth of what a set holds.
+MakeTruth = Callable[[Material], Truth]
 #: Side of the picture on which the texels of the lobes are marked, at most.
 _OVERVIEW = 256
 
@@ -52,8 +55,9 @@ class SetWork:
     """One set: what is read, baked, measured and rendered, with the seconds of each."""
 
     def __init__(
-        self, name: str, source: Any, ask: Ask, methods: Sequence[str], studio: Studio, listener: Listener | None
-    ) -> None:
+        self, name: str, source: Any, ask: Ask, methods: Sequence[str], studio: Studio, listener: Listener | None,
+        truth: MakeTruth | None = None,
+    ) -> None:  # fmt: skip
         self.name, self.ask, self.methods, self.studio, self.listener = name, ask, methods, studio, listener
         self.seconds: dict[str, float] = {}
         self.pictures: PictureFiles = {}
@@ -63,6 +67,8 @@ class SetWork:
             self.read = read_set(source, ask.reading, self.options)
             # What is rendered and measured; a cut-out is seen before a black ground.
             self.base = self.read.material.svbrdf.over_black()
+            # What pictures and pairs are compared with.
+            self.truth: Svbrdf | Truth = self.base if truth is None else truth(self.read.material)
 
     def run(self) -> SetResult:
         """Everything, in order."""
@@ -83,7 +89,7 @@ class SetWork:
             pairs = self._pairs(pyramids, depth)
         views = []
         with self._phase("pictures"):
-            for view, shown in all_views(self.base, drawn, kept, depth, self.studio, self._tell):
+            for view, shown in all_views(self.truth, drawn, kept, depth, self.studio, self._tell):
                 for name, picture in shown.items():
                     self._store(f"{view.key}-{name}", picture)
                 view.reference = self._path(f"{view.key}-reference")
@@ -117,8 +123,19 @@ class SetWork:
             distances=distances_of(self.base.size, len(sizes), self.studio.reach), views=views, lobes=lobes,
             overview=overview,
             maps_levels=len(sizes), seconds={name: round(value, 3) for name, value in self.seconds.items()},
-            inputs={role: path.name for role, path in read.inputs()}, notes=read.notes,
+            inputs={role: path.name for role, path in read.inputs()}, notes=read.notes + self._notes_of_truth(),
         )  # fmt: skip
+
+    def _notes_of_truth(self) -> list[str]:
+        """What a reader must know where the truth is not the set's SVBRDF."""
+        if self.truth is self.base:
+            return []
+        name = type(self.truth).__name__
+        return [
+            f"Pictures and pairs of light and viewer are compared with another truth than the maps: {name}. Half-angle "
+            "figures are those of the maps' own lobes.",
+            *getattr(self.truth, "notes", []),
+        ]
 
     @staticmethod
     def _level(k: int, size: tuple[int, int], measured: Measured | None, pairs: float | None) -> LevelFigures:
@@ -189,7 +206,7 @@ class SetWork:
             of_level: dict[str, float] = {}
             for names in _by_model({name: levels[k] for name, levels in pyramids.items()}):
                 errors, power = pair_errors(
-                    self.base, [pyramids[name][k] for name in names], columns, rows, pairs=self.ask.pairs, seed=k,
+                    self.truth, [pyramids[name][k] for name in names], columns, rows, pairs=self.ask.pairs, seed=k,
                     terms=self.ask.terms, pixel_filter=options.pixel_filter, samples="draft",
                     threads=options.threads,
                 )  # fmt: skip
@@ -222,7 +239,7 @@ class SetWork:
         sizes = level_sizes(self.base.size)
         k = next((i for i, size in enumerate(sizes) if max(size) <= _OVERVIEW), len(sizes) - 1)
         scene = scenes.plane(self.base.size, k, sizes[k])
-        radiance = self.studio.reference(self.base, scene, self.studio.lit[0]).radiance
+        radiance = self.studio.reference(self.truth, scene, self.studio.lit[0]).radiance
         return self._store("overview", metrics.tone_map(radiance, metrics.exposure_of(radiance)))
 
     def _texels(self, k: int) -> tuple[NDArray, NDArray]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.appearance import Appearance
+from brdffit.appearance import Appearance, Truth
 from brdffit.comparison.ask import ENVIRONMENT, LAMPS, LIGHTINGS, SMALL_LIGHTS
 from brdffit.render import lights as light_sets
 from brdffit.render import metrics, scenes
@@ -66,7 +66,7 @@ class Studio:
     pixel_filter: str = "box"
     threads: int | None = None
 
-    def reference(self, base: Svbrdf, scene: Scene, lit: str) -> Reference:
+    def reference(self, base: Svbrdf | Truth, scene: Scene, lit: str) -> Reference:
         """The reference picture with its halves.
 
         Under an environment or lamps it takes as many samples as a draft has: they cost ten times as much there, and
@@ -150,12 +150,12 @@ def still_views(base_size: tuple[int, int], depth: int, studio: Studio) -> list[
 
 
 def all_views(
-    base: Svbrdf, pyramids: Drawn, kept: Pyramids, depth: int, studio: Studio, told: Told = lambda what: None
+    base: Svbrdf | Truth, pyramids: Drawn, kept: Pyramids, depth: int, studio: Studio, told: Told = lambda what: None
 ) -> Iterator[tuple[View, dict[str, NDArray]]]:
     """Every view of a set with its pictures by name ("reference" and methods), displayed, (h, w, 3) float32 in [0, 1].
 
     Args:
-        base: the set.
+        base: the set, or another truth that it is compared with.
         pyramids: of the methods; a result without lobes is its appearance.
         kept: pyramids whose level 0 is as authored; they are seen where level 0 is.
         depth: how many levels all of them have.
@@ -228,7 +228,7 @@ class _Taken:
         }
 
 
-def _take(base: Svbrdf, pyramids: Drawn, scene: Scene, lit: str, studio: Studio) -> _Taken:
+def _take(base: Svbrdf | Truth, pyramids: Drawn, scene: Scene, lit: str, studio: Studio) -> _Taken:
     methods = {name: studio.method(levels, scene, lit) for name, levels in pyramids.items()}
     return _Taken(studio.reference(base, scene, lit), methods)
 
@@ -269,7 +269,7 @@ def _shift_view(
     return view, pictures
 
 
-def _rotation_view(base: Svbrdf, pyramids: Drawn, studio: Studio, near: int) -> tuple[View, dict[str, NDArray]]:
+def _rotation_view(base: Svbrdf | Truth, pyramids: Drawn, studio: Studio, near: int) -> tuple[View, dict[str, NDArray]]:
     """A column of pixels while the lights turn slowly, a frame beside the other.
 
     The change is measured over several columns; the one that is shown is that in which the reference moves most.

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.appearance import Truth
 from brdffit.errors import InputError
 from brdffit.footprint import PixelFilter, get_pixel_filter
 from brdffit.methods import one_of
@@ -44,6 +45,7 @@ from brdffit.render.environment import Environment
 from brdffit.render.lighting import Lit, Pixels, passes
 from brdffit.render.lights import Lights
 from brdffit.render.pairs import pair_errors
+from brdffit.render.points import directions_per_point, picture_of_points
 from brdffit.render.scenes import Scene
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
@@ -72,12 +74,12 @@ SAMPLES = {
     "fine": Samples(45.0, Budget(1024, 64, 16384), 1e10, 0.25),
 }
 #: What it costs to make a sample, and to shade one from two directions of an environment, in units of shading it under
-#: a few lights.
-_FILL_COST, _ENVIRONMENT_COST = 16.0, 6.0
+#: a few lights; and to ask a truth about a point under one light.
+_FILL_COST, _ENVIRONMENT_COST, _POINT_COST = 16.0, 6.0, 32.0
 _PILOT_PIXELS = 768
 
-#: Under an environment: samples of a footprint at least.
-_LEAST_DIRECTIONS = 1024
+#: Under light that has a size: samples of a footprint at least, of an SVBRDF and of any other truth.
+_LEAST_DIRECTIONS, _LEAST_POINTS = 1024, 256
 
 
 class Reference(NamedTuple):
@@ -104,7 +106,7 @@ class Reference(NamedTuple):
 
 
 def render_reference(
-    base: Svbrdf,
+    truth: Svbrdf | Truth,
     scene: Scene,
     lights: Lights | None = None,
     *,
@@ -118,13 +120,13 @@ def render_reference(
 ) -> NDArray:
     """The reference picture: linear radiance (h, w, 3) float32. Arguments as in ``render_halves``."""
     return render_halves(
-        base, scene, lights, environment=environment, terms=terms, lamps=lamps, pixel_filter=pixel_filter,
+        truth, scene, lights, environment=environment, terms=terms, lamps=lamps, pixel_filter=pixel_filter,
         samples=samples, threads=threads, progress=progress,
     ).radiance  # fmt: skip
 
 
 def render_halves(
-    base: Svbrdf,
+    truth: Svbrdf | Truth,
     scene: Scene,
     lights: Lights | None = None,
     *,
@@ -139,13 +141,14 @@ def render_halves(
     """The reference picture together with the two independent halves it is made of.
 
     Args:
-        base: the full-resolution SVBRDF; its size is that of ``scene.base_size``.
+        truth: the full-resolution SVBRDF, drawn by compiled loops, or any ``Truth``, asked point by point (tens of
+            times as slow); its size is that of ``scene.base_size``.
         scene: what the camera sees.
         lights: directional lights; None takes ``lights.few()`` unless an environment is given.
         environment: an ``environment.Environment`` around the surface, or None.
-        terms: terms of the BRDF that are lit.
+        terms: terms of the BRDF that are lit; only an SVBRDF can leave some out.
         lamps: how lights that have a size are drawn: "sampled", by directions in their discs, or "widened", as points
-            under lobes as much wider: a tenth of the time, and close enough for a glance.
+            under lobes as much wider: a tenth of the time, and close enough for a glance (of an SVBRDF).
         pixel_filter: "box", "gaussian" or "mitchell", in pixels; the scene carries it to the texture.
         samples: of a footprint: a preset's name ("draft", "standard", "fine"; None takes "standard"), see ``Samples``,
             or their number.
@@ -153,31 +156,47 @@ def render_halves(
         progress: called with (pixels done, pixels).
 
     Raises:
-        InputError: when the scene was made for a base of another size, or the base holds numbers that are not finite.
+        InputError: when the scene was made for a base of another size, the base holds numbers that are not finite, or
+            a truth that is no SVBRDF is to leave out terms.
         UnknownNameError: for an unknown pixel filter or preset.
     """
-    _check(base, scene.base_size)
-    chosen, packed = get_pixel_filter(pixel_filter), pack_base(base)
+    _check(truth, scene.base_size, terms)
+    chosen = get_pixel_filter(pixel_filter)
+    drawn: Packed | Truth
+    if isinstance(truth, Svbrdf):
+        drawn, least = pack_base(truth), _LEAST_DIRECTIONS
+    else:
+        drawn, least, lamps = truth, _LEAST_POINTS, "sampled"
     lit = Lit.by(lights, environment, terms, lamps)
-    least = _LEAST_DIRECTIONS if lit.sampled else 1
+    least = least if lit.sampled else 1
     if isinstance(samples, int):
         budget = Budget.of(max(samples, least))
     else:
         preset = SAMPLES[one_of("number of samples", samples or "standard", tuple(SAMPLES))]
         budget = preset.budget.times(1.0, least)
-        pilot = _average(packed, _some_pixels(scene), lit, chosen, budget, threads, None)
+        pilot = _average(drawn, _some_pixels(scene), lit, chosen, budget, threads, None)
         # Independent samples: a quarter of the noise power wants four times as many.
         missing = 2.0 ** math.ceil((preset.noise_db - min(pilot.noise_db, 99.0)) / (10.0 * math.log10(2.0)))
-        paid = preset.cost / _cost(scene, base.wrap == "tile", preset.budget, lit.sampled)
+        paid = preset.cost / _cost(drawn, scene, preset.budget, lit)
         budget = preset.budget.times(max(min(max(missing, 1.0), paid), preset.least), least)
-    return _average(packed, scene, lit, chosen, budget, threads, progress)
+    return _average(drawn, scene, lit, chosen, budget, threads, progress)
 
 
 def _average(
-    packed: Packed, scene: Scene, lit: Lit, pixel_filter: PixelFilter, budget: Budget,
+    drawn: Packed | Truth, scene: Scene, lit: Lit, pixel_filter: PixelFilter, budget: Budget,
     threads: int | None, progress: Progress | None,
 ) -> Reference:  # fmt: skip
-    """Both halves of a picture, with so many samples a footprint."""
+    """The picture with so many samples a footprint."""
+    draw = _picture_of_texels if isinstance(drawn, Packed) else picture_of_points
+    halves = draw(drawn, scene, lit, pixel_filter, budget, threads, progress)  # type: ignore[arg-type]
+    return Reference(halves.mean(axis=0), halves)
+
+
+def _picture_of_texels(
+    packed: Packed, scene: Scene, lit: Lit, pixel_filter: PixelFilter, budget: Budget,
+    threads: int | None, progress: Progress | None,
+) -> NDArray:  # fmt: skip
+    """Both halves (2, h, w, 3) float32 of the picture of an SVBRDF, with so many samples a footprint."""
     pixels = Pixels(scene)
     footprints = group_footprints(pixels.centre, pixels.axes, scene.base_size, packed.tile)
     of = footprints.order
@@ -204,15 +223,18 @@ def _average(
     run_in_threads(work, jobs, threads, progress, len(of))
     halves = np.zeros((2, *scene.pixels, 3), np.float32)
     halves[:, pixels.rows[of], pixels.columns[of]] = found
-    return Reference(halves.mean(axis=0), halves)
+    return halves
 
 
-def _cost(scene: Scene, tile: bool, budget: Budget, around: bool) -> float:
-    """What a picture costs with this budget, in samples shaded; ``around``: under an environment."""
+def _cost(drawn: Packed | Truth, scene: Scene, budget: Budget, lit: Lit) -> float:
+    """What a picture costs with this budget, in samples shaded under a few lights."""
     pixels = Pixels(scene)
+    if isinstance(drawn, Packed):
+        shading, tile = _ENVIRONMENT_COST if lit.sampled else 1.0, drawn.tile
+    else:
+        shading, tile = _POINT_COST * directions_per_point(lit), False
     footprints = group_footprints(pixels.centre, pixels.axes, scene.base_size, tile)
     samples = 2.0 * sample_count(footprints.place, budget).prod(axis=1)
-    shading = _ENVIRONMENT_COST if around else 1.0
     return float(samples @ (shading * np.diff(footprints.starts) + _FILL_COST)) + 1.0
 
 
@@ -225,10 +247,13 @@ def _some_pixels(scene: Scene) -> Scene:
     return dataclasses.replace(scene, **arrays)
 
 
-def _check(base: Svbrdf, base_size: tuple[int, int]) -> None:
-    if base.size != tuple(base_size):
-        raise InputError(f"The scene was made for a base of {base_size} texels, but this one has {base.size}.")
-    if not base.is_finite():
+def _check(truth: Svbrdf | Truth, base_size: tuple[int, int], terms: Terms) -> None:
+    if tuple(truth.size) != tuple(base_size):
+        raise InputError(f"The scene was made for a base of {base_size} texels, but this one has {truth.size}.")
+    if not isinstance(truth, Svbrdf):
+        if terms != Terms():
+            raise InputError("Only an SVBRDF can be rendered without some terms of its BRDF.")
+    elif not truth.is_finite():
         raise InputError("The SVBRDF holds numbers that are not finite; every texel must be a finite number.")
 
 
