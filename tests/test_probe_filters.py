@@ -7,9 +7,10 @@ from scipy.integrate import quad
 from test_probe_cubemap import SYMMETRIES
 
 from brdffit.errors import InputError
-from brdffit.probes.cubemap import directions, halved, mean_radiance
+from brdffit.probes.cubemap import directions, halved, mean_radiance, pad, resized, solid_angles
 from brdffit.probes.curves import CURVES, get_curve
 from brdffit.probes.direct import add_bright, filtered_exactly, packed_source, split_bright
+from brdffit.probes.filtering import ENERGY, FilterOptions, filter_levels, level_requests, with_energy
 from brdffit.probes.harmonics import (
     analysed_latlong,
     evaluated,
@@ -24,7 +25,7 @@ from brdffit.probes.lobe import half_width, is_narrow, lobe, lobe_integral
 from brdffit.probes.reading import Surroundings, as_cube, reoriented
 from brdffit.probes.table_fit import chosen_texels
 from brdffit.probes.tables import Goal
-from brdffit.probes.tree import Tree, tau_for
+from brdffit.probes.tree import Tree, tau_for, texel_sums
 from brdffit.render.environment import procedural_environment
 
 ALPHAS = get_curve("activision", 7, 128).alphas()
@@ -142,11 +143,64 @@ def test_the_tree_stays_within_its_tolerance_and_takes_less(tolerance):
         n = max(64 >> level, 2)
         counts = np.zeros(6 * n * n, np.int64)
         normals = directions(n).reshape(-1, 3)
-        filtered = tree.filtered(normals, ALPHAS[level], tau_for(tolerance), counts=counts)
+        sums = texel_sums(64, n, ALPHAS[level])
+        filtered = tree.filtered(normals, ALPHAS[level], tau_for(tolerance), counts=counts, sums=sums)
         errors.append(relative_l1(filtered, exact_level(cube, n, ALPHAS[level]).reshape(-1, 3)))
         taken.append(counts.mean())
     assert np.mean(errors) <= 1.5 * tolerance
     assert max(taken) < 6 * 64**2 / 10
+
+
+@pytest.mark.parametrize("tolerance", [0.02, 0.005])
+def test_every_level_keeps_the_energy_of_its_source(tolerance):
+    """The mean of a level is that of its source; 24 texels are too few to sample it by exact values."""
+    cube = resized(lamps(32), 128)
+    requests = level_requests(get_curve("quadratic", 6, 64), 64, 128)[:-1]
+    levels = filter_levels(cube, requests, FilterOptions(tolerance=tolerance))
+    assert max(abs(level.energy - 1.0) for level in levels) < 2e-3
+    assert max(level.error for level in levels) <= 1.5 * tolerance
+
+
+def test_bringing_to_the_mean_leaves_what_sampling_explains():
+    cube = lamps(16)
+    energy = float(mean_radiance(cube).sum())
+    np.testing.assert_array_equal(with_energy(cube, energy * (1.0 + 0.5 * ENERGY)), cube)
+    moved = with_energy(1.02 * cube, energy)
+    assert float(mean_radiance(moved).sum()) / energy - 1.0 == pytest.approx(ENERGY, rel=1e-3)
+    np.testing.assert_array_equal(with_energy(0.0 * cube, energy), 0.0 * cube)
+
+
+def test_what_the_tree_lacks_of_the_lobe_is_made_good():
+    """Far from a lamp its tail is all there is: dark nodes that are taken whole must not make it brighter."""
+    cube = np.full((6, 64, 64, 3), 1e-3, np.float32)
+    cube[4, 30:33, 30:33] = 5000.0
+    exact = exact_level(cube, 16, 0.06)
+    found = Tree(cube).level(16, 0.06, tau_for(0.005))
+    assert relative_l1(found, exact) < 5e-3
+    assert abs(float((found - exact).sum() / exact.sum())) < 3e-3
+
+
+@pytest.mark.parametrize("source, n, alpha", [(64, 32, 0.02), (64, 16, 0.04), (32, 8, 0.03), (32, 1, 0.02)])
+def test_the_sum_of_a_narrow_lobe_over_texels(source, n, alpha):
+    at, angle = directions(source).reshape(-1, 3), np.tile(solid_angles(source).ravel(), 6)
+    normals = directions(n).reshape(-1, 3)
+    plain = np.array([(lobe(0.5 * np.square(at - each).sum(axis=1), alpha) * angle).sum() for each in normals])
+    np.testing.assert_allclose(texel_sums(source, n, alpha), plain, rtol=2e-3)
+    assert np.ptp(plain) / plain.mean() > 1e-4 or n == 1
+
+
+def test_errors_step_no_more_across_edges_than_beside_them():
+    across, beside = 0.0, 0.0
+    for seed in range(6):
+        cube = lamps(64, seed)
+        exact = exact_level(cube, 16, ALPHAS[4])
+        error = (Tree(cube).level(16, ALPHAS[4], tau_for(0.005)) - exact).sum(axis=-1) / exact.sum(axis=-1)
+        for turned in (error, error.transpose(0, 2, 1), error[:, ::-1], error[:, ::-1].transpose(0, 2, 1)):
+            beside += np.abs(turned[:, 1] - turned[:, 0]).sum()
+        padded = pad(error)
+        for turned in (padded, padded.transpose(0, 2, 1), padded[:, ::-1], padded[:, ::-1].transpose(0, 2, 1)):
+            across += np.abs(turned[:, 1, 1:-1] - turned[:, 0, 1:-1]).sum()
+    assert across < 1.2 * beside
 
 
 def test_the_tree_takes_more_nodes_for_less_error():

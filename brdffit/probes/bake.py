@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -123,10 +122,7 @@ class Probe:
         return reoriented(cube, _MIRRORS[self.preset.mirror])
 
 
-def make_probe(
-    path: str | Path, options: ProbeOptions, threads: int | None = None,
-    listener: Callable[[FilteredLevel], None] | None = None,
-) -> Probe:  # fmt: skip
+def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = None) -> Probe:
     """Read and filter an environment.
 
     Raises:
@@ -153,7 +149,12 @@ def make_probe(
     keep_narrow = options.keep_narrow or options.method not in ("tree", "brute")
     requests = level_requests(curve, preset.size, source.shape[1], options.level0 == "copy", keep_narrow)
     began = time.perf_counter()
-    levels = filter_levels(source, requests, filtering, listener=listener)
+    wide = LevelRequest(0, IRRADIANCE_SIZE, 1.0, 1.0)
+    if options.method == "tree":
+        *levels, irradiance = filter_levels(source, [*requests, wide], filtering)
+    else:
+        levels = filter_levels(source, requests, filtering)
+        irradiance = filter_levels(source, [wide], replace(filtering, method="tree"))[0]
     narrow = [str(each.level) for each in requests if each.points > 1]
     if narrow:
         notes.append(f"Lobes of level {', '.join(narrow)} are narrower than a texel there and were averaged over it.")
@@ -168,8 +169,6 @@ def make_probe(
         notes.append(f"Level {', '.join(missed)} errs by more than the tolerance of {options.tolerance:g}.")
     filter_seconds = time.perf_counter() - began
     began = time.perf_counter()
-    wide = LevelRequest(0, IRRADIANCE_SIZE, 1.0, 1.0)
-    irradiance = filter_levels(source, [wide], replace(filtering, method="tree"))[0]
     nine = irradiance_nine(source)
     drawn = nine_basis(directions(IRRADIANCE_SIZE)) @ nine
     nine_error = float(np.abs(drawn - irradiance.radiance).sum() / max(np.abs(irradiance.radiance).sum(), 1e-30))
@@ -255,9 +254,8 @@ def request_digest(path: Path, options: ProbeOptions) -> str:
 
 
 def bake_probe(
-    path: str | Path, output: Path, options: ProbeOptions, threads: int | None = None, command: str = "",
-    listener: Callable[[FilteredLevel], None] | None = None,
-) -> tuple[Probe, dict[str, Any]]:  # fmt: skip
+    path: str | Path, output: Path, options: ProbeOptions, threads: int | None = None, command: str = ""
+) -> tuple[Probe, dict[str, Any]]:
     """Make a probe and write its folder, whole or not at all; returns it with its manifest.
 
     Raises:
@@ -265,7 +263,7 @@ def bake_probe(
         OutputError: when the folder cannot be written.
     """
     path = Path(path)
-    probe = make_probe(path, options, threads, listener)
+    probe = make_probe(path, options, threads)
     with replacing(output, foreign_file) as folder:
         began = time.perf_counter()
         files = write_probe(probe, folder)

@@ -28,6 +28,8 @@ METHODS = ("tree", "brute", "table", "importance", "sh")
 MEASURED = 64
 #: A mirror's lobe where level 0 is filtered.
 _LEAST_ALPHA = 1e-3
+#: Relative difference of the mean of a level from that of the source that sampling by texels explains.
+ENERGY = 1e-3
 #: How often a level is filtered anew when it missed the tolerance.
 _TRIES = 4
 
@@ -99,6 +101,10 @@ def level_requests(
     return out
 
 
+#: Makes a level; a threshold for the tree.
+_Make = Callable[[LevelRequest, float | None], NDArray]
+
+
 def sampled_texels(n: int, count: int = MEASURED, seed: int = 0) -> NDArray:
     """Flat indices of at most ``count`` texels of a level of n^2, no two the same."""
     total = 6 * n * n
@@ -116,19 +122,34 @@ def points_of(n: int, points: int) -> tuple[NDArray, NDArray]:
     return at, share / share.sum(axis=1, keepdims=True)
 
 
-def measured_error(
-    radiance: NDArray, alpha: float, source: NDArray, count: int = MEASURED, threads: int = 1, points: int = 1
-) -> tuple[float, float]:
-    """Relative L1 of a level against brute force over a ``packed_source``, on sampled texels, and the relative bias."""
-    n = radiance.shape[1]
-    chosen = sampled_texels(n, count)
-    at, share = points_of(n, points)
-    exact = filtered_exactly(source, at[chosen].reshape(-1, 3), alpha, threads).reshape(-1, points**2, 3)
-    exact = (exact * share[chosen][..., None]).sum(axis=1)
-    total = float(np.abs(exact).sum())
-    difference = radiance.reshape(-1, 3)[chosen] - exact
-    scale = 1.0 / total if total > 0.0 else 1.0
-    return float(np.abs(difference).sum()) * scale, float(difference.sum()) * scale
+class Exact:
+    """Some texels of a level by brute force over a ``packed_source``; a level is held against them."""
+
+    def __init__(self, source: NDArray, request: LevelRequest, threads: int = 1, count: int = MEASURED) -> None:
+        self._chosen, points = sampled_texels(request.n, count), request.points
+        at, share = points_of(request.n, points)
+        exact = filtered_exactly(source, at[self._chosen].reshape(-1, 3), request.alpha, threads)
+        self._radiance = (exact.reshape(-1, points**2, 3) * share[self._chosen][..., None]).sum(axis=1)
+
+    def error_and_bias(self, level: NDArray) -> tuple[float, float]:
+        """Relative L1 of a level (6, n, n, 3) on these texels, and the sum of differences over the same sum."""
+        total = float(np.abs(self._radiance).sum())
+        difference = level.reshape(-1, 3)[self._chosen] - self._radiance
+        scale = 1.0 / total if total > 0.0 else 1.0
+        return float(np.abs(difference).sum()) * scale, float(difference.sum()) * scale
+
+
+def with_energy(level: NDArray, energy: float) -> NDArray:
+    """A filtered level (6, n, n, 3) whose mean is brought to within ENERGY of ``energy``, the source's mean.
+
+    The mean over the sphere of a filtered environment is its own mean, for K has unit integral in l as in n. That of
+    texel values differs a little even where they are exact, since they sample the sphere: so much is left.
+    """
+    found = float(mean_radiance(level).sum())
+    if found <= 0.0 or energy <= 0.0:
+        return level
+    excess = found / energy - 1.0
+    return level * np.float32((1.0 + np.clip(excess, -ENERGY, ENERGY)) / (1.0 + excess))
 
 
 @dataclass(frozen=True)
@@ -156,9 +177,8 @@ class FilterOptions:
 
 
 def filter_levels(
-    cube: NDArray, requests: Sequence[LevelRequest], options: FilterOptions, measure: bool = True,
-    listener: Callable[[FilteredLevel], None] | None = None,
-) -> list[FilteredLevel]:  # fmt: skip
+    cube: NDArray, requests: Sequence[LevelRequest], options: FilterOptions, measure: bool = True
+) -> list[FilteredLevel]:
     """Filter a cube map (6, N, N, 3), N a power of two and at least the largest n, into the levels asked for.
 
     Raises:
@@ -169,32 +189,50 @@ def filter_levels(
     make = _maker(cube, source, options)
     out = []
     for request in requests:
-        began = time.process_time()
-        tau = tau_for(options.tolerance) if options.method == "tree" else None
         if request.alpha == 0.0:
-            radiance, error, bias, tau = resized(cube, request.n), 0.0, 0.0, None
+            level = FilteredLevel(request, resized(cube, request.n).astype(np.float32), 0.0, 0.0, 0.0, 1.0)
         else:
-            radiance, error, bias = make(request, tau), None, None
-        seconds = time.process_time() - began
-        for attempt in range(_TRIES if measure and request.alpha > 0.0 else 0):
-            error, bias = measured_error(
-                radiance, request.alpha, source, threads=options.threads, points=request.points
-            )
-            if tau is None or error <= options.tolerance or attempt == _TRIES - 1:
-                break
-            # The error goes as the root of tau.
-            tau *= 0.7 * (options.tolerance / error) ** 2
-            began = time.process_time()
-            radiance = make(request, tau)
-            seconds += time.process_time() - began
-        kept = float(mean_radiance(radiance).sum()) / energy if energy > 0.0 else 1.0
-        out.append(FilteredLevel(request, radiance.astype(np.float32), seconds, error, bias, kept, tau))
-        if listener:
-            listener(out[-1])
+            level = _filtered(make, request, tau_for(options.tolerance) if options.method == "tree" else None)
+            if measure:
+                level = _checked(level, Exact(source, request, options.threads), make, options, energy)
+            elif options.method == "tree":
+                level = replace(level, radiance=with_energy(level.radiance, energy))
+        kept = float(mean_radiance(level.radiance).sum()) / energy if energy > 0.0 else 1.0
+        out.append(replace(level, energy=kept))
     return out
 
 
-def _maker(cube: NDArray, source: NDArray, options: FilterOptions) -> Callable[[LevelRequest, float | None], NDArray]:
+def _filtered(make: _Make, request: LevelRequest, tau: float | None) -> FilteredLevel:
+    """One level as the method makes it, not measured."""
+    began = time.process_time()
+    radiance = make(request, tau).astype(np.float32)
+    return FilteredLevel(request, radiance, time.process_time() - began, None, None, 1.0, tau)
+
+
+def _checked(
+    level: FilteredLevel, exact: Exact, make: _Make, options: FilterOptions, energy: float
+) -> FilteredLevel:  # fmt: skip
+    """A level with its measured error; the tree's is filtered anew, more finely, where it misses the tolerance.
+
+    The tree's levels are brought to the source's mean, but where that costs the tolerance: lobes that fall between
+    texels have another.
+    """
+    error, bias = exact.error_and_bias(level.radiance)
+    for attempt in range(_TRIES if level.tau else 0):
+        kept = with_energy(level.radiance, energy)
+        kept_error, kept_bias = exact.error_and_bias(kept)
+        if kept_error <= max(error, options.tolerance):
+            level, error, bias = replace(level, radiance=kept), kept_error, kept_bias
+        if error <= options.tolerance or attempt == _TRIES - 1:
+            break
+        # The error goes as the root of tau.
+        fresh = _filtered(make, level.request, (level.tau or 0.0) * 0.7 * (options.tolerance / error) ** 2)
+        level = replace(fresh, seconds=level.seconds + fresh.seconds)
+        error, bias = exact.error_and_bias(level.radiance)
+    return replace(level, error=error, bias=bias)
+
+
+def _maker(cube: NDArray, source: NDArray, options: FilterOptions) -> _Make:
     """The method as a function of a level and a threshold."""
     method, threads = options.method, options.threads
     if method == "tree":

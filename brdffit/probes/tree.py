@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from brdffit.probes.cubemap import directions, face_points, mean_radiance, solid_angles
 from brdffit.probes.kernels.tree import NODE_FIELDS, filter_by_tree
-from brdffit.probes.lobe import lobe_integral
+from brdffit.probes.lobe import lobe, lobe_integral
 from brdffit.probes.parallel import over_rows
 
 #: The mean error goes about as this times sqrt(tau) (five environments, levels 1 to 6); the sum of bounds is far above.
 _ERROR_OF_TAU = 0.07
 #: tau of the first pass, which only finds out how bright the result is.
 _COARSE_TAU = 0.1
+#: alpha, in widths of a texel of the source, from which the sum of K over texels is its integral: in the plane K's
+#: spectrum falls as (1 + x) exp(-x) at x = 2 alpha times the frequency, and texels sample at 2 pi / width: 5e-4 here.
+_RESOLVED = 0.8
+#: Reach of the window within which the sum over texels is held against the integral, in texels.
+_WINDOW = 10.0
 
 
 def tau_for(tolerance: float) -> float:
@@ -27,36 +35,82 @@ class Tree:
     def __init__(self, cube: NDArray) -> None:
         n = cube.shape[1]
         self._mean = mean_radiance(cube)
-        # The roots: 8x8 a face, fewer nodes than that never pass.
-        self._top = max(int(np.log2(n)) - 3, 0)
+        # The roots are 2x2 a face; 8x8 where what they miss of a lobe cannot be known.
+        self._top = max(int(np.log2(n)) - 1, 0)
+        self._size = n
         self._nodes, self._offsets = _build(cube.astype(np.float64), self._top)
 
     def filtered(
-        self, normals: NDArray, alpha: float, tau: float, threads: int = 1, counts: NDArray | None = None
-    ) -> NDArray:
-        """(q, 3) float64 radiance around unit normals (q, 3); ``counts`` (q,) gets how many nodes were taken."""
-        normals = np.ascontiguousarray(normals, np.float64)
-        integral = lobe_integral(alpha)
-        counts = np.zeros(len(normals), np.int64) if counts is None else counts
-        out = np.tile(self._mean, (len(normals), 1))
-        for threshold in (max(_COARSE_TAU, tau), tau):
-            estimate, fresh = out, np.empty(normals.shape)
+        self, normals: NDArray, alpha: float, tau: float, threads: int = 1, counts: NDArray | None = None,
+        sums: NDArray | None = None,
+    ) -> NDArray:  # fmt: skip
+        """(q, 3) float64 radiance around unit normals (q, 3).
 
-            def rows(
-                first: int, last: int, tau: float = threshold, at: NDArray = estimate, to: NDArray = fresh
-            ) -> None:
+        Args:
+            normals, alpha: of the lobes.
+            tau: threshold of a node.
+            threads: workers.
+            counts: (q,) gets how many nodes were taken.
+            sums: (q,) sum of K times solid angle over the texels of the source, where that is not K's integral.
+        """
+        normals = np.ascontiguousarray(normals, np.float64)
+        counts = np.zeros(len(normals), np.int64) if counts is None else counts
+        known = sums is not None or alpha > _RESOLVED * 2.0 / self._size
+        integrals = np.full(len(normals), lobe_integral(alpha)) if sums is None else sums
+        top = self._top if known else max(self._top - 2, 0)
+
+        def one_pass(estimate: NDArray, tau: float, final: bool) -> NDArray:
+            out = np.empty((len(normals), 6))
+
+            def rows(first: int, last: int) -> None:
                 filter_by_tree(
-                    normals, alpha, integral, self._nodes, self._offsets, self._top, tau, at, first, last, to, counts
-                )
+                    normals, alpha, integrals, known, self._nodes, self._offsets, top, tau, final, estimate,
+                    first, last, out, counts,
+                )  # fmt: skip
 
             over_rows(rows, len(normals), threads)
-            out = fresh
-        return out
+            return out
+
+        coarse = one_pass(np.tile(self._mean, (len(normals), 2)), max(_COARSE_TAU, tau), False)
+        return one_pass(coarse, tau, True)[:, :3]
 
     def level(self, n: int, alpha: float, tau: float, threads: int = 1) -> NDArray:
         """A whole level (6, n, n, 3) float32."""
-        filtered = self.filtered(directions(n).reshape(-1, 3), alpha, tau, threads)
+        sums = None if alpha > _RESOLVED * 2.0 / self._size else texel_sums(self._size, n, alpha)
+        filtered = self.filtered(directions(n).reshape(-1, 3), alpha, tau, threads, sums=sums)
         return filtered.reshape(6, n, n, 3).astype(np.float32)
+
+
+@lru_cache(maxsize=8)
+def texel_sums(source_n: int, n: int, alpha: float) -> NDArray:
+    """(6 n^2,) sum of K A over the texels of faces of ``source_n``^2, around each texel centre of faces of n^2.
+
+    The sum differs from the integral of K where K is narrow, hence by what it does near its peak: with a window
+    w = (1 - d/D)^4 of d = 1 - n.l, which is 0 beyond ``_WINDOW`` texels, by sum(K A w) less the integral of K w. Texels
+    of a face that mirror each other, as do all faces, have the same sum.
+    """
+    reach = _WINDOW * 2.0 / source_n
+    far = 0.5 * reach**2
+    at, angle = directions(source_n).reshape(-1, 3), np.tile(solid_angles(source_n).ravel(), 6)
+    half = (n + 1) // 2
+    row, column = np.tril_indices(half)
+    normals = directions(n)[4, row, column]
+    near = cKDTree(at).query_ball_point(normals, reach)
+    owner, texel = np.repeat(np.arange(len(near)), [len(each) for each in near]), np.concatenate(near).astype(int)
+    d = 0.5 * np.square(at[texel] - normals[owner]).sum(axis=1)
+    inside = np.bincount(owner, lobe(d, alpha) * angle[texel] * np.maximum(1.0 - d / far, 0.0) ** 4, len(near))
+    # Solid angle is 2 pi dd; d = alpha^2 sinh^2(x) spreads the peak.
+    node, weight = np.polynomial.legendre.leggauss(200)
+    x = 0.5 * (node + 1.0) * np.arcsinh(np.sqrt(far) / alpha)
+    d = np.square(alpha * np.sinh(x))
+    slope = 2.0 * alpha**2 * np.sinh(x) * np.cosh(x) * 0.5 * np.arcsinh(np.sqrt(far) / alpha)
+    whole = 2.0 * np.pi * float((weight * slope * lobe(d, alpha) * (1.0 - d / far) ** 4).sum())
+    quarter = np.empty((half, half))
+    quarter[row, column] = quarter[column, row] = lobe_integral(alpha) + inside - whole
+    other = quarter[:, n // 2 - 1 :: -1] if n > 1 else quarter[:, :0]
+    rows = np.concatenate([quarter, other], axis=1)
+    face = np.concatenate([rows, rows[n // 2 - 1 :: -1] if n > 1 else rows[:0]])
+    return np.tile(face.ravel(), 6)
 
 
 def _build(cube: NDArray, top: int) -> tuple[NDArray, NDArray]:

@@ -4,12 +4,21 @@ A node holds the mean radiance L of its texels, their deviation sd, the solid an
 the angle rho that holds all of its corners, and the mean squared chord R2 from the centroid. Taking it whole replaces
 sum(A_i K_i L_i) by K' A L, with K' the node's mean of K to second order: K(c) + R2/4 Laplacian K, where on the sphere
 Laplacian K = (1 - c^2) K'' - 2 c K'. What is lost is the covariance of K and L within the node, at most
-A (Kmax - Kmin)/2 sd, and the error e of K' itself, which moves sum(K L)/sum(K) by A e |L - R|, R being the result:
-without that term dark nodes spoil the denominator. e is taken as half of what the correction adds. A node is taken when
+A (Kmax - Kmin)/2 sd, and the error e of K' itself, taken as half of what the correction adds.
 
-    A ((Kmax - Kmin)/2 sd + |correction| |L - R| / 2)  <  tau |R| integral(K),
+The sum of A K' misses the integral I of K, which is known, by a sum of errors A e whose signs agree (K is convex but
+at its peak): divided out, it would make texels near a lamp too bright, their dark tails being what lacks. The lack is
+given to where it may come from instead: with X the mean of L weighted by A e,
 
-with K's extremes at the cosines cos(theta -+ rho), and opened otherwise; texels are the leaves.
+    R = (sum A K' L + (I - sum A K') X) / I,
+
+which keeps constants, and an error A e of one node moves R by A e (L - X) / I. A node is taken when
+
+    A ((Kmax - Kmin)/2 sd + e |L - X|)  <  tau |R| I,
+
+with K's extremes at the cosines cos(theta -+ rho), and opened otherwise; texels are the leaves. R and X come from a
+coarser pass, whose X leans to dark nodes, for one bright node in doubt would be all of the mean. Where the sum over
+all texels is not known, R = sum(A K' L)/sum(A K') and X = R.
 """
 
 from __future__ import annotations
@@ -22,11 +31,18 @@ from brdffit._jit import kernel
 
 #: Fields of a node, float32.
 NODE_FIELDS = 11
+#: Nodes that are darker than this times the result count alike where X leans to the dark ones.
+_FAINT = np.float32(0.03)
 
 
 @kernel
-def filter_by_tree(normals, alpha, integral, nodes, offsets, top, tau, estimate, first, last, out, counts):
-    """Radiance (q, 3) around normals first to last; ``estimate`` (q, 3) is R; ``counts`` gets nodes taken.
+def filter_by_tree(
+    normals, alpha, integrals, known, nodes, offsets, top, tau, final, estimate, first, last, out, counts
+):
+    """Radiance R and X (q, 6) around normals first to last; ``estimate`` (q, 6) holds both from a coarser pass.
+
+    ``integrals`` (q,) is I, the sum of A K over all texels, if that is ``known``; ``final`` says whether this is the
+    last pass; ``counts`` gets nodes taken.
 
     ``nodes`` (all nodes, NODE_FIELDS): centroid 3, A, cos rho, sin rho, sd, R2/4, radiance 3; level k of the tree
     begins at offsets[k], texels first; roots are the nodes of level ``top``.
@@ -39,10 +55,16 @@ def filter_by_tree(normals, alpha, integral, nodes, offsets, top, tau, estimate,
     roots = 6 * (side >> top) ** 2
     for q in range(first, last):
         nx, ny, nz = np.float32(normals[q, 0]), np.float32(normals[q, 1]), np.float32(normals[q, 2])
-        er, eg, eb = np.float32(estimate[q, 0]), np.float32(estimate[q, 1]), np.float32(estimate[q, 2])
-        size = math.sqrt(er * er + eg * eg + eb * eb) + np.float32(1e-20)
-        limit = np.float32(tau * integral) * size
+        integral = integrals[q]
+        red, green, blue = np.float32(estimate[q, 0]), np.float32(estimate[q, 1]), np.float32(estimate[q, 2])
+        size = math.sqrt(red * red + green * green + blue * blue) + np.float32(1e-20)
+        limit, faint = np.float32(tau * integral) * size, _FAINT * size
+        # What X is guessed to be.
+        x = 3 if known else 0
+        er, eg, eb = np.float32(estimate[q, x]), np.float32(estimate[q, x + 1]), np.float32(estimate[q, x + 2])
         total, red, green, blue = 0.0, 0.0, 0.0, 0.0
+        doubts, doubt_red, doubt_green, doubt_blue = 1e-30, 0.0, 0.0, 0.0
+        darks, dark_red, dark_green, dark_blue = 1e-30, 0.0, 0.0, 0.0
         taken = 0
         for root in range(roots):
             node[0], level[0] = offsets[top] + root, top
@@ -94,6 +116,17 @@ def filter_by_tree(normals, alpha, integral, nodes, offsets, top, tau, estimate,
                     red += weight * nodes[t, 8]
                     green += weight * nodes[t, 9]
                     blue += weight * nodes[t, 10]
+                    bright = nodes[t, 8] + nodes[t, 9] + nodes[t, 10]
+                    doubt = area * wrong
+                    dark = doubt / ((bright + faint) * (bright + faint))
+                    darks += dark
+                    dark_red += dark * nodes[t, 8]
+                    dark_green += dark * nodes[t, 9]
+                    dark_blue += dark * nodes[t, 10]
+                    doubts += doubt
+                    doubt_red += doubt * nodes[t, 8]
+                    doubt_green += doubt * nodes[t, 9]
+                    doubt_blue += doubt * nodes[t, 10]
                     taken += 1
                 else:
                     n = side >> k
@@ -105,5 +138,12 @@ def filter_by_tree(normals, alpha, integral, nodes, offsets, top, tau, estimate,
                     )  # fmt: skip
                     level[stack], level[stack + 1], level[stack + 2], level[stack + 3] = k - 1, k - 1, k - 1, k - 1
                     stack += 4
-        out[q, 0], out[q, 1], out[q, 2] = red / total, green / total, blue / total
+        out[q, 3], out[q, 4], out[q, 5] = dark_red / darks, dark_green / darks, dark_blue / darks
+        if known and doubts > 1e-20:
+            xr, xg, xb = out[q, 3], out[q, 4], out[q, 5]
+            if final:
+                xr, xg, xb = doubt_red / doubts, doubt_green / doubts, doubt_blue / doubts
+            lack = integral - total
+            red, green, blue, total = red + lack * xr, green + lack * xg, blue + lack * xb, integral
+        out[q, 0], out[q, 1], out[q, 2] = max(red / total, 0.0), max(green / total, 0.0), max(blue / total, 0.0)
         counts[q] = taken
