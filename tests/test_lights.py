@@ -7,10 +7,11 @@ import pytest
 from lobe_oracle import lobe, log_tensor_of, normal_of_slopes, slope_rule
 
 from brdffit.errors import InputError
-from brdffit.fitting.batch import model_kernels
+from brdffit.fitting.batch import diffuse_under_sky, model_kernels
 from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.scoring import aim, share_out, target_norm
+from brdffit.halfangle.closed_forms import MOMENTS, XX, XY, YY, take_from_tensor
 from brdffit.halfangle.lights import (
     EVALUATION,
     LOBE_BLUR,
@@ -194,7 +195,7 @@ def surface(size, spread, roughness, seed=2):
     return Svbrdf(normal=normal, log_roughness=log_tensor_from_perceptual(rough), specular=grey, diffuse=0.2 * grey)
 
 
-@pytest.mark.parametrize("loss", ["l2", "seen"])
+@pytest.mark.parametrize("loss", ["l2", "seen", "displayed"])
 @pytest.mark.parametrize("roughness", [0.045, 0.4])
 def test_merging_changes_little(loss, roughness, monkeypatch):
     """Fits of merged lobes against fits of all lobes: relative squared error of the one lobe from the other."""
@@ -216,3 +217,31 @@ def test_energy_is_kept(specular, least, most):
     pyramid = NonlinearFit().bake_lobes(base, FitOptions(lights="mixed", loss="seen", specular=specular, threads=1))
     for level in pyramid.levels:
         assert least <= float(level.svbrdf.specular.mean() / base.specular.mean()) <= most
+
+
+def test_an_even_sky_sees_as_much_of_the_diffuse_colour():
+    """Irradiance of many normals under a sky that is even above the plane, by brute force, against one normal's."""
+    rng = np.random.default_rng(4)
+    normal, albedo = normal_of_slopes(*rng.normal(0.1, 0.5, (2, 40))).reshape(40, 3), rng.uniform(0.1, 0.9, 40)
+    light = rng.normal(size=(400_000, 3))
+    light = light[light[:, 2] > 0.0] / np.linalg.norm(light[light[:, 2] > 0.0], axis=1, keepdims=True)
+    many = np.mean([d * np.maximum(light @ n, 0.0).mean() for n, d in zip(normal, albedo, strict=True)])
+    moment = np.concatenate([np.tile((albedo[:, None] * normal).mean(axis=0), 3), np.full(3, albedo.mean())])
+    one = normal[7]
+    found = diffuse_under_sky(moment, 1, one[2]) * np.maximum(light @ one, 0.0).mean()
+    assert found == pytest.approx(many, rel=0.01)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.6])
+def test_a_light_is_taken_from_a_tensor_whatever_its_axes(turn):
+    """Eigenvalues lose the square and stay above the least, so that the start is a lobe (it once was none)."""
+    c, s = math.cos(turn), math.sin(turn)
+    axes = np.array([[c, -s], [s, c]])
+    for wide, narrow in ((0.5, 0.02), (0.5, 0.4), (0.015, 0.01), (0.3, 0.3)):
+        tensor = axes @ np.diag([wide, narrow]) @ axes.T
+        moments = np.zeros(MOMENTS)
+        moments[XX], moments[YY], moments[XY] = tensor[0, 0], tensor[1, 1], tensor[0, 1]
+        take_from_tensor(moments, 0.018, 1e-4)
+        found = np.array([[moments[XX], moments[XY]], [moments[XY], moments[YY]]])
+        expected = axes @ np.diag([max(wide - 0.018, 1e-4), max(narrow - 0.018, 1e-4)]) @ axes.T
+        np.testing.assert_allclose(found, expected, atol=1e-12)

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 from test_fitting import surface
 
-from brdffit.halfangle.apparent_lobe import Strata, base_of, gather_lobes
+from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, Strata, base_of, gather_lobes
 from brdffit.halfangle.closed_forms import widen_lobes
 from brdffit.halfangle.quadrature import GAIN, LOBE_COLUMNS, SPECULAR, TENSOR
 
@@ -57,7 +57,7 @@ def sample(base):
     strata = Strata(*(np.array([-0.25, 0.25]),) * 2, *(np.array([0.5, 0.5]),) * 2, 0.0, 0.0, 2.0, 2.0, 0, merge=99.0)
     lobes = np.zeros((8, LOBE_COLUMNS))
     packed = base_of(base)
-    count, _ = gather_lobes(packed, strata, 99.0, 0, 0, lobes, np.zeros(9))
+    count, _ = gather_lobes(packed, strata, 99.0, 0, 0, lobes, np.zeros(DIFFUSE_MOMENT))
     assert count == 1
     widen_lobes(lobes, count, packed.isotropic, packed.widening)
     found = lobes[0]

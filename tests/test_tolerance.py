@@ -15,7 +15,7 @@ from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.fitting.shortcuts import WORK, closed_form
 from brdffit.fitting.status import CLOSED_FORM, FALLBACK
 from brdffit.footprint import get_pixel_filter
-from brdffit.halfangle.apparent_lobe import base_of, gather_lobes, normalise_mixture, strata
+from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, base_of, gather_lobes, normalise_mixture, strata
 from brdffit.halfangle.measure import random_texels, snr
 from brdffit.halfangle.objective import FREE, HOLDS
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, LOBE_COLUMNS, SPECULAR
@@ -65,7 +65,7 @@ def closed(base, response, allowed=1.0, held=False):
     """(excess promised, lobe, own error) of the closed form of the one texel of a level."""
     packed = base_of(base)
     rule = strata(get_pixel_filter("box"), base.size, (1, 1), 4, 64, seed=0)
-    lobes, moment = np.zeros((rule.samples + 1, LOBE_COLUMNS)), np.zeros(9)
+    lobes, moment = np.zeros((rule.samples + 1, LOBE_COLUMNS)), np.zeros(DIFFUSE_MOMENT)
     count, _ = gather_lobes(packed, rule, 0.0, 0, 0, lobes, moment)
     *colour, _ = normalise_mixture(lobes, count)
     theta, report = np.zeros(6), np.zeros(4)

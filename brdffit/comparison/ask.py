@@ -96,6 +96,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "refined": {"refine": True},
     "l2": {"loss": "l2"},
     "seen": {"loss": "seen"},
+    "displayed": {"loss": "displayed"},
     "bounded": {"specular": "bounded"},
     "point": {"lights": "point"},
     "mixed": {"lights": "mixed"},

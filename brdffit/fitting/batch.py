@@ -17,7 +17,7 @@ from brdffit.fitting.shortcuts import WORK
 from brdffit.fitting.status import FALLBACK
 from brdffit.fitting.texel import GUARDS, fit_texel
 from brdffit.halfangle import objective, quadrature
-from brdffit.halfangle.apparent_lobe import Base, Strata, example_base, example_strata
+from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, Base, Strata, example_base, example_strata
 from brdffit.halfangle.closed_forms import MOMENTS, STARTS
 from brdffit.halfangle.lights import POINT, Table, table_of
 from brdffit.halfangle.merging import make_cells
@@ -66,6 +66,16 @@ def diffuse_scale(moment, channel, n_x, n_y, n_z, exponent):
 
 
 @kernel
+def diffuse_under_sky(moment, channel, n_z):
+    """Diffuse albedo of one channel that reflects as much of an even sky: its irradiance is (1 + n_z) / 2.
+
+    d = sum_i w_i d_i (1 + n_iz) / (1 + n_z). A point light sees sum_i w_i d_i n_i, which is shorter than the mean
+    albedo where normals differ; a sky hardly sees that they do.
+    """
+    return max((moment[9 + channel] + moment[3 * channel + 2]) / (1.0 + n_z), 0.0)
+
+
+@kernel
 def fit_rows(
     base, strata, columns, rows, search, scratch, rules, output,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
@@ -97,7 +107,10 @@ def fit_rows(
             output.log_roughness[i, k] = theta[2 + k]
             output.specular[i, k] = report[k]
             if base.has_diffuse:
-                output.diffuse[i, k] = diffuse_scale(scratch.moment, k, n_x, n_y, n_z, search.exponent)
+                diffuse = diffuse_scale(scratch.moment, k, n_x, n_y, n_z, search.exponent)
+                if search.sky > 0.0:
+                    diffuse += search.sky * (diffuse_under_sky(scratch.moment, k, n_z) - diffuse)
+                output.diffuse[i, k] = diffuse
         output.shape[i] = theta[5]
         output.status[i] = status
         output.residual[i] = report[RESIDUAL]
@@ -209,7 +222,7 @@ def _example(float_width: int) -> tuple[Any, ...]:
     search = Search(
         free=0, scale=FREE, scale_low=0.0, scale_high=0.0, energy=0.0, exponent=3, step=0.0, tolerance=0.0,
         iterations=0, log_low=0.0, log_high=0.0, shape_low=0.0, shape_high=0.0, same_model=True, trusted=0.0,
-        negligible=0.0, crowd=0, floor=0.0, allowed=0.0, loss=0, usual=0, cell=0.0, response=NO_RESPONSE,
+        negligible=0.0, crowd=0, floor=0.0, allowed=0.0, loss=0, sky=0.0, usual=0, cell=0.0, response=NO_RESPONSE,
     )  # fmt: skip
     indices = np.zeros(1, np.int64)
     return base, level.strata, indices, indices, search, *make_workplace(level, float_width), make_output(1)
@@ -230,7 +243,7 @@ def make_workplace(level: LevelRules, float_width: int = 32) -> tuple[Scratch, t
         start=np.zeros(parameters),
         starts=np.zeros((STARTS, parameters)),
         colour=np.ones(3),
-        moment=np.zeros(9),
+        moment=np.zeros(DIFFUSE_MOMENT),
         moments=np.zeros(MOMENTS),
         report=np.zeros(REPORT),
     )

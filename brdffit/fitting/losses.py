@@ -6,8 +6,11 @@
 - L1: sqrt(|T - F|^2 + knee^2), a smoothed absolute error (Manson and Sloan 2016 fit GGX's tail by an absolute error,
   which L2 sacrifices to the peak), by iteratively reweighted least squares: with weights 1 / sqrt(|r|^2 + knee^2) of
   the residual r before, each fit lowers the loss, since the square is a tangent from above to the square root.
-- SEEN: |T - F|^2 / (T + mean T + 4 d / pi), the squared error relative to what is seen there: the lobe, its mean over
-  all half angles, and the diffuse albedo d as a lobe's value (d / pi over the 1 / (4 (n.l) (n.v)) of a lobe).
+- SEEN: |T - F|^2 / (T + k), k = mean T + 4 d / pi, the squared error relative to what is seen there: the lobe, its
+  mean over all half angles, and the diffuse albedo d as a lobe's value (d / pi over the 1 / (4 (n.l) (n.v)) of a lobe).
+- DISPLAYED: |T - F|^2 / (T + k / 5)^1.5, the squared error of what a screen shows. With the light exposed so that its
+  mean is grey, Reinhard's curve y = x / (1 + x) and sRGB's y^(1/2.2) have slopes whose square falls as x^-1.1 below
+  the mean and as x^-2.9 far above it; 1.5 and a fifth of the mean stand for both (benchmarks/seen.py).
 
 The knee is a share of the target's highest value on the nodes: what lies below it counts absolutely.
 An energy constraint needs no loss of its own: lobes are normalised, so holding the scale at the filtered colour keeps
@@ -25,13 +28,15 @@ from brdffit.halfangle.quadrature import BLUE, GREEN, MEASURE, RED, WEIGHT
 
 real = np.float32
 
-L2, RELATIVE, L1, SEEN = range(4)
+L2, RELATIVE, L1, SEEN, DISPLAYED = range(5)
 #: Codes of the names in brdffit.methods.LOSSES.
-LOSS_CODES = {"l2": L2, "relative": RELATIVE, "l1": L1, "seen": SEEN}
+LOSS_CODES = {"l2": L2, "relative": RELATIVE, "l1": L1, "seen": SEEN, "displayed": DISPLAYED}
 
 #: Fits of L1 beyond the first.
 ROUNDS = 4
 _KNEE = 0.03
+# Of DISPLAYED: the power of the denominator, and the share of k in it.
+_POWER, _DARK = 1.5, 0.2
 
 
 @kernel
@@ -57,10 +62,10 @@ def weigh_relatively(nodes):
 
 
 @kernel
-def weigh_as_seen(nodes, moment):
-    """WEIGHT <- MEASURE over what is seen, T + mean T + 4 d / pi, in units of the last two; T and d are channel sums.
+def weigh_as_seen(nodes, moment, displayed):
+    """WEIGHT <- MEASURE over what is seen, T + k with k = mean T + 4 d / pi, in units of k; T and d are channel sums.
 
-    ``moment`` (9,): sums of diffuse colour times normal, (channel, axis).
+    ``moment`` (9,): sums of diffuse colour times normal, (channel, axis). ``displayed``: over (T + k / 5)^1.5.
     """
     red, green, blue, weight, measure = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT], nodes[MEASURE]
     whole, mean = real(0.0), real(0.0)
@@ -71,10 +76,14 @@ def weigh_as_seen(nodes, moment):
     for channel in range(3):
         diffuse += math.sqrt(moment[3 * channel] ** 2 + moment[3 * channel + 1] ** 2 + moment[3 * channel + 2] ** 2)
     knee = mean / max(whole, real(1e-30)) + real(4.0 / math.pi * diffuse)
+    if displayed:
+        knee *= real(_DARK)
     if not knee > real(0.0):
         return
     for j in range(nodes.shape[1]):
-        weight[j] = measure[j] * knee / (red[j] + green[j] + blue[j] + knee)
+        # Negative weights of a filter can make the target negative.
+        share = knee / (max(red[j] + green[j] + blue[j], real(0.0)) + knee)
+        weight[j] = measure[j] * (share * np.sqrt(share) if displayed else share)
 
 
 @kernel

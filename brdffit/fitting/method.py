@@ -54,6 +54,8 @@ _LAXEST = 1e-2
 _NODE_SHARES, _FEWEST_NODES = (0.5, 0.25, 0.2, 0.2, 0.2, 0.2), 24
 # How far a bounded scale may lie from the filtered colour.
 _BOUNDS = (0.91, 1.1)
+# Share of an even sky in what the diffuse colour is fitted to, where lights have a size; the rest is point lights.
+_SKY = 0.5
 
 
 class NonlinearFit(LobeMethod):
@@ -192,7 +194,7 @@ def search_settings(options: FitOptions, quality: Quality, base: Base, source: M
         kind = BOUNDED
     loss = one_of("loss", options.loss, LOSSES)
     if loss == "auto":
-        loss = "l2" if point else "seen"
+        loss = "l2" if point else "displayed"
     sharpest = float(base.perceptual.min()) if base.isotropic else options.min_roughness
     return Search(
         free=free,
@@ -215,6 +217,7 @@ def search_settings(options: FitOptions, quality: Quality, base: Base, source: M
         floor=0.0,
         allowed=0.0,
         loss=LOSS_CODES[loss],
+        sky=0.0 if point else _SKY,
         usual=0 if options.tolerance is None else 1,
         cell=0.0 if point else quality.merge,
         response=NO_RESPONSE,

@@ -8,8 +8,8 @@ from typing import ClassVar
 from brdffit.options import LobeOptions, option
 
 QUALITIES = ("draft", "standard", "fine")
-#: Under point lights "auto" is l2 and a free scale (the half-angle error of the papers); else seen and bounded.
-LOSSES = ("auto", "seen", "l2", "relative", "l1")
+#: Under point lights "auto" is l2 and a free scale (the half-angle error of the papers); else displayed and bounded.
+LOSSES = ("auto", "displayed", "seen", "l2", "relative", "l1")
 SPECULARS = ("auto", "bounded", "free", "held")
 COLOURS = ("channels", "shared")
 
@@ -28,8 +28,9 @@ class FitOptions(LobeOptions):
         "mixed", "lights to look right under: point, sun, lamp, window, sky, mixed, or radii in degrees (2,10:0.5)"
     )
     loss: str = option(
-        "auto", "seen weighs by what is seen there, l2 follows peaks, l1 tails, relative weighs all alike", names=LOSSES
-    )
+        "auto", "displayed is the error on a screen, l2 follows peaks, seen lies between; relative and l1 follow tails",
+        names=LOSSES,
+    )  # fmt: skip
     energy: float = option(0.0, "share of a light from everywhere, which sees a lobe's energy alone", least=0.0)
     refine: bool = option(False, "fit also what a renderer interpolates between texels and levels")
     specular: str = option(

@@ -72,9 +72,10 @@ class Search(NamedTuple):
     of two half rules, as a share of the residual, that is not refined; ``negligible``: disagreement (relative squared
     error) that never is; ``crowd``: samples a stratum, in the mean, above which the first rule is passed over (16
     strata count for twice as many); ``floor``: relative squared error that few nodes, and an early stop, may cost a
-    texel each; ``allowed``: that the closed form may; ``loss``: a code of brdffit.fitting.losses; ``usual``: the rule
-    that a texel starts with; ``cell``: how many widths of a lobe, as the smallest light shows it, the normals of a cell
-    of merged lobes may span (0: none are merged); ``response``: the closed form's table.
+    texel each; ``allowed``: that the closed form may; ``loss``: a code of brdffit.fitting.losses; ``sky``: share of an
+    even sky in what the diffuse colour is fitted to; ``usual``: the rule that a texel starts with; ``cell``: how many
+    widths of a lobe, as the smallest light shows it, the normals of a cell of merged lobes may span (0: none are
+    merged); ``response``: the closed form's table.
     """
 
     free: int
@@ -97,6 +98,7 @@ class Search(NamedTuple):
     floor: float
     allowed: float
     loss: int
+    sky: float
     usual: int
     cell: float
     response: Response

@@ -8,7 +8,16 @@ import numpy as np
 
 from brdffit._jit import inline, part
 from brdffit.fitting.bfgs import FREE_ANISOTROPY
-from brdffit.fitting.losses import L1, RELATIVE, ROUNDS, SEEN, weigh_absolutely, weigh_as_seen, weigh_relatively
+from brdffit.fitting.losses import (
+    DISPLAYED,
+    L1,
+    RELATIVE,
+    ROUNDS,
+    SEEN,
+    weigh_absolutely,
+    weigh_as_seen,
+    weigh_relatively,
+)
 from brdffit.fitting.scoring import (
     BLUE_SCALE,
     COVERAGE,
@@ -45,11 +54,10 @@ from brdffit.halfangle.closed_forms import (
     DEFENSIVE_SHARE,
     LEAN,
     STARTS,
-    XX,
-    YY,
     first_start,
     footprint_moments,
     light_lobes,
+    take_from_tensor,
     widen_lobes,
     widen_round_lobes,
 )
@@ -109,8 +117,7 @@ def fit_texel(
     flat = footprint_moments(lobes, count, lobes_isotropic, scratch.moments)
     if lights[0, BASE_BLUR] > 0.0:
         # Starts are lobes as they are, not as a light shows them.
-        for k in (XX, YY):
-            scratch.moments[k] = max(scratch.moments[k] - lights[0, BASE_BLUR], math.exp(search.log_low))
+        take_from_tensor(scratch.moments, lights[0, BASE_BLUR], math.exp(search.log_low))
     first_start(scratch.moments, isotropic, scratch.starts)
     colour = scratch.colour
     colour[0], colour[1], colour[2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
@@ -244,8 +251,8 @@ def fit_by_rule(
         weigh_nodes(nodes)
         if search.loss == RELATIVE:
             weigh_relatively(nodes)
-        elif search.loss == SEEN:
-            weigh_as_seen(nodes, scratch.moment)
+        elif search.loss == SEEN or search.loss == DISPLAYED:
+            weigh_as_seen(nodes, scratch.moment, search.loss == DISPLAYED)
     share_out(table)
     colour = scratch.colour
     for k in range(3):

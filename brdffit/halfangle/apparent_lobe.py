@@ -46,6 +46,8 @@ from brdffit.svbrdf import Svbrdf
 
 # Factor by which colours of a patch differ from which on their share in its average counts.
 _COLOURED = 1.05
+#: Entries of a footprint's diffuse moment, see ``gather_lobes``.
+DIFFUSE_MOMENT = 12
 # Samples of one stratum and axis at most: a mirror of alpha 0.002 beside a wall wants more than anyone can pay.
 _MOST_CUTS = 16
 # A footprint that asks for more samples than there is room for is gathered again with a longer step.
@@ -188,7 +190,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
     """``gather_lobes`` for one step; returns also how many samples it asks for.
 
     SPECULAR columns hold filter weight times colour, MIXTURE the filter weight alone (they sum to 1).
-    ``diffuse_moment`` (9,) receives sum_i w_i d_ic n_i as (channel, axis).
+    ``diffuse_moment`` (DIFFUSE_MOMENT,) receives sum_i w_i d_ic n_i as (channel, axis), then sum_i w_i d_ic.
 
     Strata between the same four texels share one bilinear patch, and its edges say how far the normal turns. Where it
     turns by less than ``strata.merge`` lobe widths across all of them, and roughness and colour hardly change, one
@@ -205,7 +207,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
     size_y = strata.y[1] - strata.y[0] if strata.y.size > 1 else 0.0
     jittered = strata.jitter_x > 0.0 or strata.jitter_y > 0.0
     none = (0.0, 0.0, 0.0)
-    for k in range(9):
+    for k in range(DIFFUSE_MOMENT):
         diffuse_moment[k] = 0.0
     roughness, tensors = (0.0, 0.0, 0.0, 0.0), (none, none, none, none)
     rough_x, rough_y, colour_x, colour_y, gain = 0.0, 0.0, 0.0, 0.0, 1.0
@@ -324,6 +326,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                             diffuse_moment[axis] += part * d[0]
                             diffuse_moment[3 + axis] += part * d[1]
                             diffuse_moment[6 + axis] += part * d[2]
+                            diffuse_moment[9 + axis] += weight * d[axis]
                     count += 1
             first_x += many_x
         first_y += many_y

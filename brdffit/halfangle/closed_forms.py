@@ -131,6 +131,18 @@ def footprint_moments(lobes, count, isotropic_base, moments):
 
 
 @inline
+def take_from_tensor(moments, square, least):
+    """Take ``square`` from both eigenvalues of the mean tensor, which stay at ``least`` or above."""
+    mean, apart = 0.5 * (moments[XX] + moments[YY]), 0.5 * (moments[XX] - moments[YY])
+    radius = math.sqrt(apart * apart + moments[XY] * moments[XY])
+    large, small = max(mean + radius - square, least), max(mean - radius - square, least)
+    share = 0.5 * (large - small) / radius if radius > 1e-12 * mean else 0.0
+    moments[XX] = 0.5 * (large + small) + share * apart
+    moments[YY] = 0.5 * (large + small) - share * apart
+    moments[XY] *= share
+
+
+@inline
 def start_of(moments, tensors, slopes, spread, isotropic, start):
     """A start (6,): the mean normal, and shares of the mean tensor and of the slopes' covariance, and a spread."""
     a, b, c = log_of_tensor(

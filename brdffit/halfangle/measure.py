@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from brdffit._jit import kernel, numba_type, types
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import (
+    DIFFUSE_MOMENT,
     Base,
     Strata,
     add_defensive_lobe,
@@ -95,7 +96,7 @@ def target_table(base, strata, points, column, row, exponent, light, lobes, node
 
     Where nothing is reflected T is 0, and <T,T> that of the same lobes in white: errors stay relative to something.
     """
-    moment, starts = work[9:18], work[18 : 18 + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS)
+    moment, starts = work[9 : 9 + DIFFUSE_MOMENT], work[24 : 24 + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS)
     count, spread = gather_lobes(base, strata, DENSE_STEP, column, row, lobes, moment)
     red, green, blue, some = normalise_mixture(lobes, count)
     isotropic = base.isotropic

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from brdffit._jit import kernel
 from brdffit.fitting.batch import diffuse_scale
-from brdffit.halfangle.apparent_lobe import Base, Strata
+from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, Base, Strata
 from brdffit.halfangle.quadrature import LOBE_COLUMNS
 from brdffit.learned.moments import MOMENTS, lobe_moments
 from brdffit.learned.tables import prepare_lobes
@@ -19,8 +19,8 @@ _DARKEST = 1e-9
 
 
 class Gathered(NamedTuple):
-    """Of n texels: ``moments`` (n, MOMENTS), filtered specular ``colour`` (n, 3), ``diffuse`` (n, 9) as
-    sum_i w_i d_ic n_i by (channel, axis), and whether ``some`` light is reflected at all (n,)."""
+    """Of n texels: ``moments`` (n, MOMENTS), filtered specular ``colour`` (n, 3), ``diffuse`` (n, 12) as
+    ``gather_lobes`` leaves it, and whether ``some`` light is reflected at all (n,)."""
 
     moments: NDArray
     colour: NDArray
@@ -31,7 +31,10 @@ class Gathered(NamedTuple):
     def empty(texels: int) -> Gathered:
         """Arrays to be filled."""
         return Gathered(
-            np.zeros((texels, MOMENTS)), np.zeros((texels, 3)), np.zeros((texels, 9)), np.zeros(texels, np.bool_)
+            np.zeros((texels, MOMENTS)),
+            np.zeros((texels, 3)),
+            np.zeros((texels, DIFFUSE_MOMENT)),
+            np.zeros(texels, np.bool_),
         )
 
     def rows(self, part: slice) -> Gathered:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from brdffit._jit import kernel, numba_type, types
 from brdffit.fitting.batch import ModelKernels, model_kernels
 from brdffit.halfangle.apparent_lobe import (
+    DIFFUSE_MOMENT,
     Base,
     Strata,
     add_defensive_lobe,
@@ -114,7 +115,7 @@ def tabulate_rows(
 ):  # fmt: skip
     """Fill a table for texels (columns[i], rows[i]); scales (n,) put each footprint's centre where it should be."""
     feature, closed = np.zeros(FEATURES), np.zeros(CLOSED)
-    diffuse_moment = np.zeros(9)
+    diffuse_moment = np.zeros(DIFFUSE_MOMENT)
     for i in range(columns.size):
         here = Strata(
             strata.x, strata.y, strata.weight_x, strata.weight_y, strata.jitter_x, strata.jitter_y, scale_x[i],

@@ -9,7 +9,7 @@ from brdffit.fitting.method import level_rules, search_settings
 from brdffit.fitting.presets import quality_of
 from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.footprint import get_pixel_filter
-from brdffit.halfangle.apparent_lobe import gather_lobes, normalise_mixture
+from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, gather_lobes, normalise_mixture
 from brdffit.halfangle.closed_forms import LEAN, STARTS, closed_forms
 from brdffit.halfangle.quadrature import LOBE_COLUMNS
 
@@ -23,7 +23,7 @@ def closed_form_start(sample: LevelSample) -> Lobes:
     theta, scale = np.zeros((len(sample), 6)), np.zeros((len(sample), 3))
     lobes, starts = np.zeros((rules.room, LOBE_COLUMNS)), np.zeros((STARTS, 6))
     for i, (column, row) in enumerate(zip(sample.columns, sample.rows, strict=True)):
-        count, _ = gather_lobes(sample.base, rules.strata, search.step, column, row, lobes, np.zeros(9))
+        count, _ = gather_lobes(sample.base, rules.strata, search.step, column, row, lobes, np.zeros(DIFFUSE_MOMENT))
         *colour, some = normalise_mixture(lobes, count)
         closed_forms(lobes, count, sample.base.isotropic, starts, search.free & FREE_ANISOTROPY == 0)
         theta[i] = _within(starts[LEAN], search)
