@@ -29,8 +29,8 @@ from benchmarks.record import ROOT, as_markdown, machine
 from benchmarks.seen_summary import figures_table, summary
 from brdffit.comparison.surroundings import read_environment
 from brdffit.comparison.views import Still, Studio, still_views
-from brdffit.methods import Material, get_method
-from brdffit.options import make_options
+from brdffit.methods import Material, Method, get_method
+from brdffit.options import BakeOptions, make_options, parse_settings
 from brdffit.pipeline import Phases, ReadSet, assess, run
 from brdffit.render import lights, metrics
 from brdffit.render.reference import Reference
@@ -73,10 +73,9 @@ class Bench:
 
     def measure(self, column: str) -> dict[str, Any]:
         """A column's record: figures of each view, energy of each level, seconds of the fit."""
-        name, options = _asked(column)
-        method = get_method(name)
+        method, options = as_asked(column)
         phases, material = Phases(), Material(self.base)
-        baked = run(ReadSet(self.name, material), method, make_options(method.options, options, f"'{name}'"), phases)
+        baked = run(ReadSet(self.name, material), method, options, phases)
         pictures, views = {}, {}
         for view in self.views:
             views[view.key], pictures[view.key] = self._figures(baked.appearance, view)
@@ -151,9 +150,11 @@ def draw_worst(folder: Path, losing: list[dict[str, Any]], columns: list[str], p
         sheet.save(path)
 
 
-def _asked(column: str) -> tuple[str, dict[str, str]]:
+def as_asked(column: str) -> tuple[Method, BakeOptions]:
+    """The method of a column and its options: "bfgs loss=relative"."""
     name, *words = column.split()
-    return name, dict(word.split("=", 1) for word in words)
+    method = get_method(name)
+    return method, make_options(method.options, parse_settings(words), f"'{name}'")
 
 
 def _displayed(picture: NDArray, reference: Reference) -> NDArray:

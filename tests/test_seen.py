@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).parent.parent))  # the benchmarks are not installed
 
-from benchmarks import materials, seen
+from benchmarks import best_lobe, materials, seen
 from benchmarks.seen_summary import summary, verdicts
 from brdffit.textures.procedural import make_set
 
@@ -80,3 +80,32 @@ def test_a_run_goes_on_where_it_ended(small):
     record = json.loads((small / "tiles/vmf.json").read_text())
     assert len(record["views"]) == 11 and len(record["energy"]) == 5
     assert "What is seen" in text and (small / "summary.md").is_file()
+
+
+def test_a_lobe_is_its_parameters(tmp_path):
+    base = materials.load(make_set("brushed-metal", tmp_path / "set", 16))
+    texel = best_lobe._texel(base, 3, 5)
+    again = best_lobe.texel_of(best_lobe.parameters(texel), texel)
+    for name, array in texel.arrays().items():
+        # A black diffuse colour has no logarithm: it is held a little above.
+        np.testing.assert_allclose(getattr(again, name), array, rtol=1e-4, atol=2e-5, err_msg=name)
+
+
+def test_a_search_finds_a_lobe_that_is_there(monkeypatch, tmp_path):
+    """A base of one lobe everywhere: the truth is that lobe, and a search from a rougher one finds it again."""
+    monkeypatch.setattr(best_lobe, "_SIDE", 6)
+    base = materials.load(make_set("hammered-metal", tmp_path / "set", 16))
+    one = base.replace(**{
+        name: np.ascontiguousarray(np.broadcast_to(array[4, 4], array.shape)) for name, array in base.arrays().items()
+    })  # fmt: skip
+    monkeypatch.setattr(seen, "crop", lambda name, path: one)
+    bench = seen.Bench("one", None, tmp_path / "out", 1)
+    view = next(each for each in bench.views if each.key == "mid-small-lights")
+    patch = best_lobe.Patch(bench, view, int(view.level), 0, 0)
+    right = best_lobe._texel(one, 4, 4)
+    assert patch.errors(right)[0] < 1e-6
+    rougher = right.replace(log_roughness=right.log_roughness + np.float32([0.6, 0.6, 0.0]))
+    worse = patch.errors(rougher)[0]
+    found, texel = patch.best(0, [rougher], 600)
+    assert found < 0.05 * worse
+    assert patch.errors(texel)[0] == pytest.approx(found)
