@@ -13,7 +13,7 @@ from brdffit.errors import InputError
 from brdffit.learned.training import checkpoint_path, train
 from brdffit.nets.weights import read_weights, write_weights
 from brdffit.neural.material import read_material
-from brdffit.neural.questions import RADIUS, Answers, batch_of, directions, random_queries
+from brdffit.neural.questions import RADIUS, Answers, batch_of, directions, error_of, random_queries
 from brdffit.neural.source import learned_size
 from brdffit.neural.training import NeuralTask, check_memory
 from brdffit.textures.procedural import make_set
@@ -56,6 +56,13 @@ def test_answers_are_asked_in_texels_of_the_source():
     np.testing.assert_allclose(source.asked[1], 2.0 * 0.5 * 4)
     # pi M cos: that of a white surface that faces the light is 1.
     np.testing.assert_allclose(found[:, 0], np.pi * directions(queries)[0][:, 2], rtol=1e-5)
+
+
+def test_errors_hold_no_noise_of_the_truth():
+    rng = np.random.default_rng(8)
+    truth, found = rng.uniform(0, 1, (2, 200000, 3))
+    error, power = error_of(found, truth + rng.standard_normal((2, 200000, 3)))
+    np.testing.assert_allclose([error, power], [np.mean((found - truth) ** 2), np.mean(truth**2)], atol=0.01)
 
 
 def test_learning_lowers_the_error_tenfold_and_the_offset_helps(trained, tmp_path):

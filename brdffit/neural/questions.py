@@ -101,3 +101,21 @@ class Answers:
             total += self.source.query(position, sigma, light, view, seed + k)
         factor = math.pi / samples * (1.0 if self.on_plane else light[:, 2:])
         return np.ascontiguousarray(total * factor, np.float32)
+
+    def twice(self, queries: NDArray, seed: int, samples: int) -> NDArray:
+        """(2, n, 3): two independent means, each of half of so many estimates."""
+        half = max(samples // 2, 1)
+        return np.stack([self.to(queries, seed, half), self.to(queries, seed + half, half)])
+
+
+def error_of(found: NDArray, truths: NDArray) -> tuple[float, float]:
+    """(mean squared error, mean square of the truth), neither with the noise of the truth in it.
+
+    With two independent means t_1 and t_2 of the truth t, E[(f - t_1)(f - t_2)] = (f - t)^2 and E[t_1 t_2] = t^2.
+
+    Args:
+        found: (n, 3).
+        truths: (2, n, 3), of ``Answers.twice``.
+    """
+    error = float(np.mean((found - truths[0]) * (found - truths[1]), dtype=np.float64))
+    return max(error, 0.0), float(np.mean(truths[0] * truths[1], dtype=np.float64))

@@ -16,7 +16,7 @@ from brdffit.errors import OutputError
 from brdffit.files.image_io import write_png
 from brdffit.neural.kernels.material import QUERY
 from brdffit.neural.material import NeuralMaterial
-from brdffit.neural.questions import Answers, directions
+from brdffit.neural.questions import Answers, directions, error_of
 
 #: Pixels of a picture's side, and around it.
 _SIDE, _GAP, _TITLE = 144, 6, 18
@@ -29,7 +29,7 @@ _TIMES = 4.0
 
 
 class LevelFigures(NamedTuple):
-    """Of one level's pictures: mean squared error, and the SNR in dB."""
+    """Of one level's pictures: mean squared error without the noise of the truth, and the SNR in dB."""
 
     mse: float
     snr_db: float
@@ -70,11 +70,11 @@ def draw_sheet(
         seen = material.reader.predict(queries) * (height if material.on_plane else 1.0)
         shown, title = [seen], f"level {level}"
         if answers is not None:
-            true = answers.to(queries, 7919 * level, samples) * (height if answers.on_plane else 1.0)
-            wrong = seen - true
-            error, power = float(np.square(wrong).mean()), float(np.square(true).mean())
+            truths = answers.twice(queries, 7919 * level, samples) * (height if answers.on_plane else 1.0)
+            error, power = error_of(seen, truths)
             figures.append(LevelFigures(error, 10.0 * math.log10(power / max(error, 1e-12))))
-            shown += [true, _TIMES * np.abs(wrong)]
+            true = truths.mean(axis=0)
+            shown += [true, _TIMES * np.abs(seen - true)]
             title += f"  {1e3 * error:.2f}e-3"
         columns.append([each.reshape(_SIDE, _SIDE, 3) for each in shown])
         titles.append(title)

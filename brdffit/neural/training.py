@@ -24,7 +24,7 @@ from brdffit.neural.kernels.dense import MATRIX
 from brdffit.neural.kernels.material import LAYERS, QUERY
 from brdffit.neural.material import KIND, arrays_of, meta_of
 from brdffit.neural.network import PARTS, Design, Learner, Network
-from brdffit.neural.questions import Answers, batch_of, random_queries
+from brdffit.neural.questions import Answers, batch_of, directions, error_of, random_queries
 
 #: Learning rates of networks and of textures, and what they fall to in the second half.
 _RATE, _TEXTURE_RATE, _LAST = 3e-3, 1e-2, 0.01
@@ -63,19 +63,16 @@ class Held:
         for level in range(max(size).bit_length()):
             rng = np.random.default_rng([_SEED_OF_FIGURE, level])
             self.queries.append(random_queries(count, size, rng, float(level)))
-            self.truth.append(answers.to(self.queries[-1], _SEED_OF_FIGURE + 1000 * level, samples))
+            self.truth.append(answers.twice(self.queries[-1], _SEED_OF_FIGURE + 1000 * level, samples))
 
     def errors(self, learner: Learner) -> tuple[NDArray, NDArray]:
         """(mean squared error, mean square of the truth) of each level; a white surface facing the light is 1."""
-        error, power = [], []
+        found = []
         for queries, truth in zip(self.queries, self.truth, strict=True):
-            found = learner.predict(queries)
-            factor = 1.0
-            if self.on_plane:
-                factor = np.sqrt(1.0 - np.square(queries[:, 3:5]).sum(axis=1, keepdims=True))
-            error.append(float(np.square((found - truth) * factor).mean()))
-            power.append(float(np.square(truth * factor).mean()))
-        return np.array(error), np.array(power)
+            factor = directions(queries)[0][:, 2:] if self.on_plane else 1.0
+            found.append(error_of(learner.predict(queries) * factor, truth * factor))
+        error, power = np.array(found).T
+        return error, power
 
 
 class NeuralTask:
