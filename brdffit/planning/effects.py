@@ -28,6 +28,7 @@ class Effect:
         terms: fields of the judge's ``Terms`` that are False without it.
         judge: whether it is the judge's alone: it changes no pyramid, but what a comparison simulates.
         extra: whether it is a pass of its own, that has to be shown to help before it is paid for.
+        traced: whether it is one of a height that is traced as a surface, which no map shows; the judge's alone.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Effect:
     terms: tuple[str, ...] = ()
     judge: bool = False
     extra: bool = False
+    traced: bool = False
 
 
 EFFECTS: tuple[Effect, ...] = (
@@ -91,6 +93,15 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "environment", "light from the environment in the judge", "only the lights of the scene shine", judge=True
+    ),
+    Effect(
+        "parallax", "parallax and masking by the height", "the surface is flat to its viewer", judge=True, traced=True
+    ),
+    Effect(
+        "shadowing", "shadows that the height throws", "every point sees the light", judge=True, traced=True
+    ),
+    Effect(
+        "interreflection", "light between the hills of the height", "light is reflected once", judge=True, traced=True
     ),
 )  # fmt: skip
 

@@ -9,6 +9,7 @@ import numpy as np
 from brdffit.export.presets import get_preset
 from brdffit.models import get_model
 from brdffit.planning.description import SceneFile
+from brdffit.planning.effects import EFFECTS
 from brdffit.svbrdf import Svbrdf
 
 
@@ -43,6 +44,10 @@ def settled(scene: SceneFile, base: Svbrdf, reach: tuple[int, int]) -> dict[str,
         found["colour"] = Fact(False, "the specular colour is grey", "a coloured set")
     if not np.any(base.diffuse):
         found["coupling"] = Fact(False, "nothing is reflected diffusely", "a set that is not all metal")
+    if base.height is None or not np.ptp(base.height):
+        for effect in EFFECTS:
+            if effect.traced:
+                found[effect.name] = Fact(False, "the set has no height map", "a height map")
     if scene.environment is None:
         found["environment"] = Fact(False, "the scene has no environment", "an environment in the scene file")
     elif not scene.lights:

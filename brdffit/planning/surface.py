@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -32,6 +33,7 @@ from brdffit.planning.plan import (
 from brdffit.planning.reach import Reach, reached_levels
 from brdffit.planning.refinement import try_refinement
 from brdffit.planning.sizes import light_sizes, lights_option, shares_of
+from brdffit.planning.traced import OFF, seconds_a_picture, traced_losses, what_maps_lack
 from brdffit.planning.trial import Errors, Loss, Sample, Shining, loss, snr_db
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -98,6 +100,7 @@ class SurfaceWork:
             lost, seconds = together(off), self._seconds(sample, seen, off, tried)
             if seconds > most:
                 notes.append(f"The budget of {most:g} s cannot be met: what is left takes about {seconds:.1f} s.")
+        notes += self._of_height(base, tried, off)
         final, snr = self._setup(seen, off), snr_db(found, 0)
         return SurfacePlan(
             name=self.surface.name, set=Path(self.surface.set).name, size=base.size, reach=(seen.first, seen.last),
@@ -143,7 +146,13 @@ class SurfaceWork:
             losses["refinement"], costs["refinement"] = try_refinement(
                 base, setups[0].options, (seen.first, seen.last), lights, self.seed
             )
-        for name in (n for n in names if BY_NAME[n].judge):
+        traced = [n for n in names if BY_NAME[n].traced]
+        if traced:
+            tell(f"{self.surface.name}: tracing its height")
+            of_height, their_costs = traced_losses(sample, found, traced)
+            losses |= of_height
+            costs |= their_costs
+        for name in (n for n in names if BY_NAME[n].judge and not BY_NAME[n].traced):
             if name == "environment":
                 dark = msgspec.structs.replace(self.scene, environment=None)
                 without = sample.errors([on], lights=self._lights(dark))
@@ -154,6 +163,14 @@ class SurfaceWork:
             losses[name] = Loss(abs(change.db), change.error)
         costs |= judge_costs(base, seen.first, lights, environment, self.threads)
         return _Tried(losses, costs)
+
+    def _of_height(self, base: Svbrdf, tried: _Tried, off: set[str]) -> list[str]:
+        """What the plan says of effects that no map shows and the scene calls for."""
+        on = [name for name in OFF if name not in off]
+        if not on or base.height is None:
+            return []
+        pixels = max(math.prod(camera.resolution) for camera in self.scene.cameras)
+        return what_maps_lack(tried.losses, on, base.size, pixels, seconds_a_picture(base, on, pixels, self.threads))
 
     def _row(self, name: str, on: bool, facts: Mapping[str, Fact], tried: _Tried) -> EffectRow:
         """One line of the plan: the verdict and its reason."""
