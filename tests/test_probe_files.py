@@ -150,7 +150,20 @@ def run(*arguments):
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_preset_writes_what_it_promises(environment, tmp_path, preset):
-    result = run("probe", environment, "-o", tmp_path, "--for", preset, "--size", 32, "--levels", 5, "--no-picture")
+    result = run(
+        "probe",
+        environment,
+        "-o",
+        tmp_path,
+        "--for",
+        preset,
+        "--size",
+        32,
+        "--levels",
+        5,
+        "--no-picture",
+        "--centre=-z",
+    )
     assert result.exit_code == 0, result.output
     folder = tmp_path / "room"
     manifest = json.loads((folder / "manifest.json").read_text())

@@ -30,10 +30,11 @@ from brdffit.probes.filtering import (
     with_radiance,
 )
 from brdffit.probes.harmonics import irradiance_nine, nine_basis
+from brdffit.probes.letters import draw_faces
 from brdffit.probes.parallel import default_threads
 from brdffit.probes.picture import probe_picture
 from brdffit.probes.presets import ProbePreset, get_probe_preset
-from brdffit.probes.reading import CENTRES, Surroundings, as_cube, is_procedural, read_surroundings, reoriented
+from brdffit.probes.reading import CENTRES, Surroundings, as_cube, is_built_in, read_surroundings, reoriented
 from brdffit.probes.sun import Sun, find_sun
 from brdffit.probes.writing import suffix_of, write_probe
 
@@ -56,7 +57,7 @@ class ProbeOptions:
         fit: "texels" (exact values at the texels) or "lookup" (values whose trilinear look-up is nearest the truth).
         rotate: degrees about +Y, from +X towards -Z.
         layout: of the input, instead of guessing.
-        centre: where the middle of a lat-long picture looks.
+        centre: where the middle of a lat-long picture looks; else as the preset has it.
         clamp: bring values that are no radiance to what is possible.
         scale: bring radiance below the largest value of the format by a factor, instead of clamping.
         picture: draw picture.png.
@@ -78,7 +79,7 @@ class ProbeOptions:
     fit: str = "texels"
     rotate: float = 0.0
     layout: str | None = None
-    centre: str = "-z"
+    centre: str | None = None
     clamp: bool = False
     scale: bool = False
     picture: bool = True
@@ -134,7 +135,7 @@ def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = No
     began = time.perf_counter()
     surroundings = read_surroundings(path, options.layout, options.clamp)
     natural = min(surroundings.natural_size, _LARGEST_SOURCE)
-    source = as_cube(surroundings, max(natural, preset.size), options.centre, options.rotate, threads)
+    source = as_cube(surroundings, max(natural, preset.size), preset.centre, options.rotate, threads)
     read_seconds = time.perf_counter() - began
     notes = list(surroundings.notes)
     if natural < preset.size:
@@ -207,11 +208,12 @@ def _preset(options: ProbeOptions) -> ProbePreset:
         raise InputError(f"A KTX1 file here cannot hold '{texel_format}'.")
     if options.method not in METHODS:
         raise InputError(f"There is no method '{options.method}': known are {', '.join(METHODS)}.")
-    if options.centre not in CENTRES:
-        raise InputError(f"The centre cannot be '{options.centre}': known are {', '.join(CENTRES)}.")
+    centre = options.centre or preset.centre
+    if centre not in CENTRES:
+        raise InputError(f"The centre cannot be '{centre}': known are {', '.join(CENTRES)}.")
     if not 1e-5 <= options.tolerance <= 0.5:
         raise InputError(f"A tolerance of {options.tolerance:g} was asked for, expected 0.00001 to 0.5.")
-    return replace(preset, size=size, levels=levels, texel_format=texel_format)
+    return replace(preset, size=size, levels=levels, texel_format=texel_format, centre=centre)
 
 
 def _tables(options: ProbeOptions, curve: Curve) -> tuple:
@@ -246,7 +248,7 @@ def _within_format(
 def request_digest(path: Path, options: ProbeOptions) -> str:
     """A digest of an input and what is asked of it: equal digests need no new work."""
     files: list[Path] = []
-    if not is_procedural(path):
+    if not is_built_in(path):
         files = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
     content = "".join(file_sha256(each) for each in files)
     asked = json.dumps([asdict(options), version("brdffit"), content], sort_keys=True)
@@ -269,7 +271,9 @@ def bake_probe(
         files = write_probe(probe, folder)
         if options.picture:
             probe_picture(probe, folder / "picture.png", options.tolerance, threads or default_threads())
-            files.append("picture.png")
+            title = f"{path.name} for {probe.preset.name}, faces as stored, {probe.preset.turning}"
+            draw_faces(probe.stored(probe.levels[0].radiance / np.float32(probe.scale)), folder / "faces.png", title)
+            files += ["picture.png", "faces.png"]
         probe.seconds["writing and drawing"] = time.perf_counter() - began
         manifest = probe_manifest(probe, options, files, command)
         manifest["digest"] = request_digest(path, options)
@@ -279,7 +283,7 @@ def bake_probe(
 
 def foreign_file(folder: Path) -> str | None:
     """What in an existing folder no probe wrote."""
-    ours = {"manifest.json", "picture.png", "harmonics.json", "dfg.exr"}
+    ours = {"manifest.json", "picture.png", "faces.png", "harmonics.json", "dfg.exr"}
     for kind in ("specular", "irradiance"):
         ours |= {f"{kind}{suffix}" for suffix in (".ktx2", ".ktx", ".dds", ".exr")}
     ours |= {f"specular-{level}.exr" for level in range(16)}
@@ -315,7 +319,7 @@ def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], comman
         },
         "orientation": {
             "faces": "+X -X +Y -Y +Z -Z, +Y up, as OpenGL looks them up",
-            "centre_of_latlong": options.centre,
+            "centre_of_latlong": probe.preset.centre,
             "rotated_degrees": options.rotate,
             "mirrored": probe.preset.mirror or None,
         },

@@ -61,7 +61,9 @@ def probe() -> None:
 )
 @click.option("--rotate", type=float, default=0.0, metavar="DEG", help="About +Y, from +X towards -Z.")
 @click.option("--layout", type=click.Choice(LAYOUT_NAMES), show_default="guessed from the shape")
-@click.option("--centre", type=click.Choice(["-z", "+x", "+z", "-x"]), default="-z", help="Of a lat-long picture.")
+@click.option(
+    "--centre", type=click.Choice(["-z", "+x", "+z", "-x"]), show_default="as the preset", help="Of a lat-long picture."
+)
 @click.option("--clamp", is_flag=True, help="Set negative values to 0 and infinite ones to the largest.")
 @click.option("--scale", is_flag=True, help="Scale radiance beyond the format down instead of clamping it.")
 @click.option("--no-picture", is_flag=True, help="Do not draw picture.png.")
@@ -75,7 +77,8 @@ def filter_(
     """Filter each ENV to a stated error: levels, irradiance, the table of the split sum, a manifest, a picture.
 
     ENV is a lat-long picture, a cross, a strip, a KTX2 or DDS cube map, a folder of six faces, a folder of any of
-    these, or `procedural` for the one that ships. What fails is named, all others are done; the exit code is then 1.
+    these, `procedural` for the one that ships, or `letters` for faces that bear their names, by which an engine shows
+    how it turns cube maps. What fails is named, all others are done; the exit code is then 1.
     """
     from brdffit.probes.bake import ProbeOptions
     from brdffit.probes.shelf import bake_all
@@ -90,12 +93,16 @@ def filter_(
 
 @probe.command()
 @click.argument("source", metavar="FILE", type=click.Path(path_type=Path))
-def inspect(source: Path) -> None:
+@click.option("-o", "--faces", type=click.Path(path_type=Path), help="Picture of the faces, each with its name.")
+def inspect(source: Path, faces: Path | None) -> None:
     """Say what FILE holds: an environment, or a folder or file that a probe was written to."""
-    from brdffit.probes.shelf import describe
+    from brdffit.probes.shelf import describe, draw_faces_of
 
     for line in describe(source):
         click.echo(line)
+    if faces:
+        draw_faces_of(source, faces)
+        click.echo(f"  see {faces}")
 
 
 @probe.command()

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.errors import InputError
 from brdffit.files.atomic import first_other, replacing
+from brdffit.probes.cmgen import beside_cmgen, installed
 from brdffit.probes.compare_page import page
 from brdffit.probes.cubemap import directions
 from brdffit.probes.curves import get_curve
@@ -61,6 +63,7 @@ def compare_to_folder(
         for name, cube in cubes.items():
             tell(f"{name}: look-ups")
             records["lookup"] += measure_lookups(name, cube, threads, 300 if quick else 1500)
+        records["cmgen"] = _beside_cmgen(paths, threads, 64 if quick else 256, tell)
         records["split_sum"] = split_errors(list(cubes.values()), 200 if quick else 1000, threads)
         draw_front(records["methods"], folder / "front.png")
         draw_point_responses(folder / "points.png")
@@ -69,6 +72,23 @@ def compare_to_folder(
         (folder / "records.json").write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
         (folder / "index.html").write_text(page(records), encoding="utf-8")
     return output / "index.html"
+
+
+def _beside_cmgen(
+    paths: Sequence[Path], threads: int, count: int, tell: Callable[[str], None]
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Records of lat-long pictures beside Filament's cmgen; none where it is not installed."""
+    if not installed():
+        tell("cmgen is not on the PATH (Debian: libfilament-tools): no row of it.")
+        return []
+    records = []
+    for path in paths:
+        tell(f"{path.stem}: cmgen")
+        try:
+            records.append(beside_cmgen(path, 0.005, threads, count))
+        except InputError as error:
+            tell(f"{path.stem}: {error}")
+    return records
 
 
 def _foreign(folder: Path) -> str | None:

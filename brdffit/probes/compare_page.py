@@ -79,6 +79,7 @@ def page(records: dict[str, Any]) -> str:
         ),
         "<h2>One bright texel in the middle of a face, on an edge, at a corner (figure 8)</h2>",
         '<img src="points.png" alt="point responses">',
+        *_cmgen_section(records.get("cmgen", [])),
         "<h2>What the engine's look-up adds</h2>",
         "<p>Exact texels read trilinearly at 12 roughnesses from 0.05 to 1, in random directions. "
         "<code>--fit lookup</code> moves the texels to what reads best.</p>",
@@ -97,6 +98,29 @@ def page(records: dict[str, Any]) -> str:
         *(f'<h3>{escape(name)}</h3><img src="levels-{escape(name)}.png" alt="levels">' for name in environments),
     ]
     return _PAGE.replace("BODY", "\n".join(sections))
+
+
+def _cmgen_section(records: list[dict[str, Any]]) -> list[str]:
+    if not records:
+        return []
+    rows = [
+        [
+            f"{each['environment']}, {name}",
+            *map(_percent, each[name]["errors"]),
+            _percent(each[name]["error"]),
+            _percent(each[name]["energy"]),
+            f"{each[name]['seconds']:.2f}",
+        ]
+        for each in records
+        for name in ("cmgen", "brdffit")
+    ]
+    return [
+        "<h2>Filament's cmgen</h2>",
+        "<p>The same file and the same curve, a cube of 128, four levels; ours at a tolerance of 0.005. Energy is that "
+        "of level 0 over the picture's. Seconds are processor time from the file to the levels; cmgen's hold writing "
+        "them.</p>",
+        _html_table(["environment", "level 1", "level 2", "level 3", "mean", "energy", "seconds"], rows),
+    ]
 
 
 def _lookup_table(records: list[dict[str, Any]], environments: list[str]) -> str:

@@ -16,6 +16,8 @@ from brdffit.probes.lobe import lobe, lobe_integral
 
 #: Size of the cube that low orders are taken from: they see no finer texels.
 _PROJECTION_SIZE = 64
+#: Constants of the real harmonics of degrees 0 to 2, in the order of ``irradiance_nine``.
+NINE_CONSTANTS = np.array([0.282095, 0.488603, 0.488603, 0.488603, 1.092548, 1.092548, 0.315392, 1.092548, 0.546274])
 
 
 def zonal_coefficients(alpha: float, order: int) -> NDArray:
@@ -112,8 +114,5 @@ def irradiance_nine(cube: NDArray) -> NDArray:
 def nine_basis(direction: NDArray) -> NDArray:
     """(..., 9) real spherical harmonics of degrees 0 to 2, in the order of ``irradiance_nine``."""
     x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
-    rows = [
-        0.282095 * np.ones_like(x), 0.488603 * y, 0.488603 * z, 0.488603 * x, 1.092548 * x * y, 1.092548 * y * z,
-        0.315392 * (3.0 * z * z - 1.0), 1.092548 * x * z, 0.546274 * (x * x - y * y),
-    ]  # fmt: skip
-    return np.stack(rows, axis=-1)
+    rows = [np.ones_like(x), y, z, x, x * y, y * z, 3.0 * z * z - 1.0, x * z, x * x - y * y]
+    return np.stack(rows, axis=-1) * NINE_CONSTANTS

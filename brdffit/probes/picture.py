@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from brdffit.colour import encode_srgb
 from brdffit.files.image_io import write_png
 from brdffit.probes.cubemap import look_up, look_up_trilinear, resized
 from brdffit.probes.tree import Tree, tau_for
@@ -70,9 +71,7 @@ def exposure_of(cube: NDArray) -> float:
 def toned(radiance: NDArray, exposure: float) -> NDArray:
     """(..., 3) uint8: Reinhard's curve and sRGB."""
     x = np.maximum(radiance, 0.0) * exposure
-    x = x / (1.0 + x) * 1.2
-    encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1.0 / 2.4) - 0.055)
-    return (np.clip(encoded, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    return (encode_srgb(np.minimum(1.2 * x / (1.0 + x), 1.0)) * 255.0 + 0.5).astype(np.uint8)
 
 
 def latlong_directions(height: int) -> NDArray:

@@ -20,6 +20,7 @@ class ProbePreset:
         levels: how many.
         mirror: axis whose look-ups the engine turns round ("x", "z" or ""); the stored cube is mirrored to match.
         note: what a user of the engine has to know.
+        centre: where the engine's own tools let the middle of a lat-long picture look.
     """
 
     name: str
@@ -31,6 +32,12 @@ class ProbePreset:
     levels: int
     mirror: str = ""
     note: str = ""
+    centre: str = "-z"
+
+    @property
+    def turning(self) -> str:
+        """How the stored cube lies to the world, for captions."""
+        return f"{self.mirror} mirrored" if self.mirror else "not mirrored"
 
 
 _ALL = (
@@ -41,8 +48,8 @@ _ALL = (
     ),
     ProbePreset("khronos", "glTF Sample Viewer", "ktx2", "rgba16f", "linear", 256, 9),
     ProbePreset(
-        "filament", "Filament's indirect light, harmonics in the file", "ktx1", "r11g11b10f", "quadratic", 256, 5, "x",
-        "Mirrored as cmgen does unless told --no-mirror.",
+        "filament", "Filament's indirect light, harmonics in the file", "ktx1", "r11g11b10f", "quadratic", 256, 5, "",
+        "The cube is the one that cmgen writes: Filament looks it up without turning.", "+z",
     ),
     ProbePreset(
         "three", "three.js", "dds", "bc6h", "quadratic", 256, 7, "x",

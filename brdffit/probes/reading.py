@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.colour import decode_srgb
 from brdffit.errors import InputError
 from brdffit.files.image_io import IMAGE_SUFFIXES, read_image
 from brdffit.probes.cubemap import directions, face_coordinates, halved, look_up, resized
@@ -68,7 +69,7 @@ def read_surroundings(path: str | Path, layout: str | None = None, clamp: bool =
     """Read an environment.
 
     Args:
-        path: a picture, a KTX2 or DDS cube map, a folder of six faces, or "procedural" for the one that ships.
+        path: a picture, a KTX2 or DDS cube map, a folder of six faces, or "procedural" or "letters", which ship.
         layout: one of LAYOUTS; else guessed from the shape, and said in the notes.
         clamp: bring negative values and such that are not finite to 0 and to the largest finite one.
 
@@ -77,7 +78,12 @@ def read_surroundings(path: str | Path, layout: str | None = None, clamp: bool =
     """
     path = Path(path)
     notes: list[str] = []
-    if is_procedural(path):
+    if is_built_in(path) and path.name == "letters":
+        from brdffit.probes.letters import lettered_cube
+
+        notes.append("A cube whose faces bear their names: shows how a tool or an engine turns cube maps.")
+        pixels, layout = lettered_cube(256), "cube"
+    elif is_built_in(path):
         from brdffit.render.environment import procedural_environment
 
         notes.append("The environment that comes with brdffit: a studio of soft boxes and lamps.")
@@ -145,7 +151,7 @@ def _linear_picture(path: Path, notes: list[str]) -> NDArray:
     image = read_image(path)
     pixels = image.pixels[..., :3] if image.pixels.shape[2] >= 3 else image.pixels[..., :1].repeat(3, axis=2)
     if not image.is_float:
-        pixels = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4)
+        pixels = decode_srgb(pixels)
         notes.append(
             f"{image.bits} bits a channel, decoded from sRGB: lamps are clipped at 1, highlights will be dull."
         )
@@ -198,9 +204,9 @@ def _six_faces(folder: Path, notes: list[str]) -> NDArray:
     raise InputError(f"'{folder}' {lacking}, expected six pictures as px.hdr, nx.hdr, py.hdr, ny.hdr, pz.hdr, nz.hdr.")
 
 
-def is_procedural(path: Path) -> bool:
-    """Whether a path is no file but the name of the environment that ships."""
-    return str(path) == "procedural" and not path.exists()
+def is_built_in(path: Path) -> bool:
+    """Whether a path is no file but the name of an environment that ships."""
+    return str(path) in ("procedural", "letters") and not path.exists()
 
 
 def is_folder_of_faces(folder: Path) -> bool:

@@ -6,13 +6,13 @@ import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
-
+from brdffit.colour import LUMINANCE
 from brdffit.errors import BrdffitError, InputError
 from brdffit.probes.bake import ProbeOptions, bake_probe, request_digest
 from brdffit.probes.containers import read_cube_file
 from brdffit.probes.cubemap import mean_radiance
-from brdffit.probes.reading import as_cube, is_folder_of_faces, is_procedural, read_surroundings
+from brdffit.probes.letters import draw_faces
+from brdffit.probes.reading import as_cube, is_built_in, is_folder_of_faces, read_surroundings
 from brdffit.probes.sun import find_sun
 
 _SUFFIXES = (".hdr", ".exr", ".ktx2", ".ktx", ".dds", ".png", ".jpg", ".tif", ".tiff")
@@ -24,7 +24,7 @@ def find_environments(path: Path) -> list[Path]:
     Raises:
         InputError: when it does not exist or a folder holds none.
     """
-    if is_procedural(path):
+    if is_built_in(path):
         return [path]
     if not path.exists():
         raise InputError(f"'{path}' does not exist, expected an environment or a folder of them.")
@@ -105,6 +105,19 @@ def _report(folder: Path, manifest: dict) -> list[str]:
     return lines
 
 
+def draw_faces_of(path: Path, picture: Path) -> None:
+    """Draw the faces of a probe or a cube map file, or of the cube that an environment becomes, each with its name.
+
+    Raises:
+        InputError: when it can be read as neither.
+    """
+    if (path / "manifest.json").exists():
+        path = path / json.loads((path / "manifest.json").read_text(encoding="utf-8"))["specular"]
+    surroundings = read_surroundings(path, clamp=True)
+    cube = as_cube(surroundings, min(surroundings.natural_size, 256))
+    draw_faces(cube, picture, f"{path.name}: faces as stored")
+
+
 def describe(path: Path) -> list[str]:
     """What a file or folder holds, a line each.
 
@@ -126,7 +139,7 @@ def describe(path: Path) -> list[str]:
         return lines + [f"  {key}: {' '.join(value.split())}" for key, value in file.metadata.items()]
     surroundings = read_surroundings(path, clamp=True)
     cube = as_cube(surroundings, min(surroundings.natural_size, 256))
-    luminance = cube @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    luminance = cube @ LUMINANCE
     mean = float(mean_radiance(luminance[..., None])[0])
     lines = [f"{path}", *(f"  {note}" for note in surroundings.notes)]
     lines.append(

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.colour import LUMINANCE
 from brdffit.probes.cubemap import directions, mean_radiance, solid_angles
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 #: Part of the largest luminance that still is the lamp, how far away in degrees, and the least share of energy.
 _PART, _REACH, _SHARE = 0.05, 6.0, 0.05
 
@@ -38,13 +38,13 @@ def find_sun(cube: NDArray) -> Sun | None:
     n = cube.shape[1]
     at, angle = directions(n).reshape(-1, 3), np.tile(solid_angles(n).ravel(), 6)
     radiance = cube.reshape(-1, 3).astype(np.float64)
-    luminance = radiance @ _LUMINANCE
+    luminance = radiance @ LUMINANCE
     brightest = int(luminance.argmax())
     near = at @ at[brightest] > np.cos(np.radians(_REACH))
     chosen = near & (luminance > _PART * luminance[brightest])
     flux = (radiance[chosen] * angle[chosen, None]).sum(axis=0)
-    whole = float(mean_radiance(cube) @ _LUMINANCE) * 4.0 * np.pi
-    share = float(flux @ _LUMINANCE) / whole if whole > 0.0 else 0.0
+    whole = float(mean_radiance(cube) @ LUMINANCE) * 4.0 * np.pi
+    share = float(flux @ LUMINANCE) / whole if whole > 0.0 else 0.0
     size = float(angle[chosen].sum())
     # A wide sky is no lamp: what it takes of the sphere must be far less than what it gives.
     if share < _SHARE or share < 20.0 * size / (4.0 * np.pi):

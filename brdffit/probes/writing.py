@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from brdffit.files.image_io import write_mip_exr
 from brdffit.probes.containers import write_cube
 from brdffit.probes.cubemap import look_up
+from brdffit.probes.harmonics import NINE_CONSTANTS
 from brdffit.probes.split_sum import dfg_table
 
 if TYPE_CHECKING:
@@ -47,7 +48,9 @@ def write_probe(probe: Probe, folder: Path) -> list[str]:
         suffix = suffix_of(preset)
         for name, levels in (("specular", specular), ("irradiance", [irradiance])):
             files.append(name + suffix)
-            text = "\n".join(" ".join(f"{value:.7g}" for value in row) for row in nine) + "\n"
+            # Filament's shader holds no constants: they are in its file.
+            rows = nine * NINE_CONSTANTS[:, None] if preset.container == "ktx1" else nine
+            text = "\n".join(" ".join(f"{value:.7g}" for value in row) for row in rows) + "\n"
             pairs = {"KTXwriter": "brdffit", "sh": text}
             write_cube(folder / files[-1], preset.container, levels, preset.texel_format, pairs)
     (folder / "harmonics.json").write_text(

@@ -1,0 +1,74 @@
+"""A picture of a cube map's faces with letters on them: whether a file is turned or mirrored is seen at a glance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from brdffit.files.image_io import write_png
+from brdffit.probes.cubemap import FACES, face_coordinates, face_points, look_up
+from brdffit.probes.picture import exposure_of, latlong_directions, toned
+from brdffit.probes.writing import latlong_of
+
+#: Texels along a face of the pictures, and of a test cube.
+_SIZE, _GAP, _TITLE = 128, 4, 18
+#: Cells (row, column) of the faces in a cross.
+_CELLS = ((1, 2), (1, 0), (0, 1), (2, 1), (1, 1), (1, 3))
+#: Over the right and over the upper edge of a face.
+_OVER = ((np.array(1.5), np.array(0.0)), (np.array(0.0), np.array(1.5)))
+_COLOURS = np.array(
+    [[0.9, 0.25, 0.2], [0.45, 0.1, 0.1], [0.3, 0.8, 0.3], [0.1, 0.4, 0.15], [0.3, 0.45, 0.95], [0.12, 0.18, 0.5]]
+)
+
+
+def lettered_cube(n: int = _SIZE) -> NDArray:
+    """(6, n, n, 3) float32: each face in a colour of its own with its name, to be read from within the world.
+
+    In the files the letters are mirrored: with +Y up and -Z ahead +X is to the right, where the face -Z has its left.
+    """
+    font = ImageFont.load_default(n // 2)
+    faces = []
+    for name, colour in zip(FACES, _COLOURS, strict=True):
+        stencil = Image.new("L", (n, n), 0)
+        draw = ImageDraw.Draw(stencil)
+        draw.text((n // 2, n // 2), name, fill=255, font=font, anchor="mm")
+        draw.rectangle((0, 0, n - 1, n - 1), outline=96)
+        ink = np.asarray(stencil, np.float32)[:, ::-1, None] / 255.0
+        faces.append((1.0 - ink) * colour.astype(np.float32) + ink)
+    return np.stack(faces).astype(np.float32)
+
+
+def lettered_latlong(height: int = _SIZE) -> NDArray:
+    """(height, 2 height, 3) float32 lat-long picture of ``lettered_cube``, its middle column along -Z.
+
+    It is what to put through a tool, or through `brdffit probe`, to see which way its cube maps look.
+    """
+    return latlong_of(lettered_cube(), height)
+
+
+def draw_faces(cube: NDArray, path: Path, title: str) -> None:
+    """Draw a cube map (6, n, n, 3) as a cross, each face with its name, and as a lat-long picture below.
+
+    A face stands as files hold it, u to the right and v up, which is its mirror image to who looks at it from within.
+    Beside a name stand the directions in which the face's right and upper edges lie.
+    """
+    exposure, n = exposure_of(cube), _SIZE
+    canvas = Image.new("RGB", (4 * (n + _GAP) + _GAP, 5 * n + 5 * _GAP + 2 * _TITLE), (24, 24, 24))
+    draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(12)
+    draw.text((_GAP, 3), title, fill=(255, 255, 255), font=font)
+    for face, (row, column) in enumerate(_CELLS):
+        x, y = _GAP + column * (n + _GAP), _TITLE + row * (n + _GAP)
+        pixels = Image.fromarray(toned(cube[face], exposure)).resize((n, n), Image.Resampling.BOX)
+        canvas.paste(pixels, (x, y))
+        right, up = (FACES[int(face_coordinates(face_points(*way)[face])[0])] for way in _OVER)
+        label = f"{FACES[face]}  right {right}, up {up}"
+        draw.text((x + 3, y + 2), label, fill=(255, 255, 255), font=font, stroke_width=1, stroke_fill=(0, 0, 0))
+    height = _TITLE + 3 * (n + _GAP)
+    below = "seen from within: lat-long, the middle along -Z, +X a quarter to the right"
+    draw.text((_GAP, height + 2), below, fill=(200, 200, 200), font=font)
+    strip = toned(look_up(cube, latlong_directions(2 * n)), exposure)
+    canvas.paste(Image.fromarray(strip), (_GAP, height + _TITLE))
+    write_png(path, np.asarray(canvas))
