@@ -247,6 +247,10 @@ def _with_opacity(level: Svbrdf, base: Svbrdf, options: Any) -> Svbrdf:
     return level.replace(opacity=opacity, alpha=base.alpha, cutoff=base.cutoff)
 
 
+#: Methods that are taken only where they are named: they train for minutes.
+BY_NAME = {"neural": "brdffit.neural.method:Neural"}
+
+
 @cache
 def _installed() -> dict[str, EntryPoint]:
     """Entry points by name; reading them takes tens of milliseconds."""
@@ -269,15 +273,16 @@ def get_method(name: str) -> Method:
     Raises:
         UnknownNameError: with the nearest known name.
     """
+    name = BY_NAME.get(name, name)
     if ":" in name:
         module, _, attribute = name.partition(":")
         try:
             return getattr(importlib.import_module(module), attribute)()
         except (ImportError, AttributeError) as error:
-            raise UnknownNameError("method", name, method_names()) from error
+            raise UnknownNameError("method", name, [*method_names(), *BY_NAME]) from error
     if name in _installed():
         return _installed()[name].load()()
-    raise UnknownNameError("method", name, method_names())
+    raise UnknownNameError("method", name, [*method_names(), *BY_NAME])
 
 
 def one_of(kind: str, name: str, known: Sequence[str]) -> str:

@@ -11,11 +11,15 @@ from brdffit.appearance import Appearance, Lookups
 from brdffit.cli import main
 from brdffit.errors import InputError
 from brdffit.learned.training import checkpoint_path, train
+from brdffit.methods import get_method, method_names
 from brdffit.nets.weights import read_weights, write_weights
 from brdffit.neural.material import read_material
 from brdffit.neural.questions import RADIUS, Answers, batch_of, directions, error_of, random_queries
 from brdffit.neural.source import learned_size
 from brdffit.neural.training import NeuralTask, check_memory
+from brdffit.pipeline import read_set
+from brdffit.render import scenes
+from brdffit.render.pictures import render_appearance
 from brdffit.textures.procedural import make_set
 
 SIZE = (32, 32)
@@ -220,3 +224,18 @@ def test_commands_train_resume_render_and_tell(tmp_path):
     assert drawn.exit_code == 0 and "level 4: MSE" in drawn.output and (out / "pebbles.png").is_file()
     told = CliRunner().invoke(main, ["neural", "info", str(file)], catch_exceptions=False)
     assert "16x16 texels, 5 levels, 3407 weights" in told.output and "level 4" in told.output
+
+
+def test_the_method_learns_or_reads_a_material_and_is_drawn(tmp_path):
+    method = get_method("neural")
+    # It trains for minutes: only where it is named.
+    assert "neural" not in method_names()
+    read = read_set(make_set("pebbles", tmp_path / "pebbles", 32), {}, method.options())
+    baked = method.bake(read.material, method.options(steps=30, size=16))
+    assert baked.lobes is None and baked.appearance.base_size == (32, 32) and baked.sizes[0] == (32, 32)
+    assert "learned in 30 steps" in baked.notes[-1]
+    with pytest.raises(InputError, match="has none"):
+        flat = read.material.svbrdf.replace(height=None)
+        method.bake(type(read.material)(flat), method.options(steps=1))
+    picture = render_appearance(baked.appearance, scenes.plane((32, 32), 1, (24, 24)))
+    assert np.isfinite(picture).all() and picture.mean() > 1e-3
