@@ -5,8 +5,22 @@ import json
 import numpy as np
 import pytest
 
+from brdffit._jit import kernel
 from brdffit.errors import InputError
 from brdffit.nets.adam import Adam
+from brdffit.nets.doubles import (
+    EIGHT,
+    chosen,
+    eight,
+    exponential,
+    greatest,
+    least,
+    logarithm,
+    magnitude,
+    put,
+    root,
+    with_sign,
+)
 from brdffit.nets.layers import DenseChain, DenseNet
 from brdffit.nets.weights import digest_of, read_weights, shaped, write_weights
 
@@ -14,6 +28,16 @@ from brdffit.nets.weights import digest_of, read_weights, shaped, write_weights
 SINGLE = 2e-4
 #: Of a difference quotient in float32 of a function with kinks.
 QUOTIENT = 0.02
+
+
+@kernel
+def eightfold(a, b, out, logs, powers):
+    for i in range(0, a.size, EIGHT):
+        x, y = eight(a, i), eight(b, i)
+        z = least(greatest(root(x) * 2.0 + 1.0 / y - x, -1.0), 0.5)
+        put(out, i, chosen(x - 0.5, z, with_sign(magnitude(z), y)))
+        put(logs, i, logarithm(x))
+        put(powers, i, exponential(y))
 
 
 def matrix(net, layer):
@@ -184,3 +208,14 @@ def test_bad_weights_are_one_sentence(tmp_path):
         shaped(good, "a", (4,), path)
     with pytest.raises(InputError, match="no array 'b'"):
         shaped(good, "b", (4,), path)
+
+
+def test_vectors_of_doubles_are_numbers():
+    """Operators, roots, logarithms and choices, against numpy; float32 is widened and rounded."""
+    a, b = np.random.default_rng(50).uniform(0.01, 3.0, 64), np.random.default_rng(51).normal(0, 3, 64)
+    single, out, logs, powers = b.astype(np.float32), np.zeros(64), np.zeros(64), np.zeros(64, np.float32)
+    eightfold(a, single, out, logs, powers)
+    z = np.clip(np.sqrt(a) * 2 + 1 / single.astype(float) - a, -1.0, 0.5)
+    np.testing.assert_allclose(out, np.where(a > 0.5, z, np.copysign(np.abs(z), single)), rtol=1e-13)
+    np.testing.assert_allclose(logs, np.log(a), atol=1e-7)
+    np.testing.assert_allclose(powers, np.exp(single.astype(float)), rtol=3e-7)

@@ -117,12 +117,12 @@ class DenseChain(Network):
             used.append((ins, outs, last_gain if last else 1.0))
             first = layers[-1].bias.stop
         self._allocate(layers, used, rng)
-        self._kept: list[list[NDArray]] = []
+        self.kept: list[list[NDArray]] = []
 
     def forward(self, rows: NDArray, keep: bool = False) -> NDArray:
-        """Outputs (n, outs) float32 of rows (n, ins); ``keep`` what ``backward`` needs."""
+        """Outputs (n, outs) float32 of rows (n, ins); ``keep`` what ``backward`` needs, in ``kept``."""
         out = np.empty((len(rows), self.sizes[-1]), np.float32)
-        self._kept = []
+        self.kept = []
         for start in range(0, len(rows), _ROWS):
             part = rows[start : start + _ROWS]
             shape = (1, -(-len(part) // PIXELS) * PIXELS)
@@ -137,12 +137,14 @@ class DenseChain(Network):
                 0, : len(part), : out.shape[1]
             ]
             if keep:
-                self._kept.append(features)
+                self.kept.append(features)
         return out
 
-    def backward(self, d_out: NDArray) -> None:
-        """Add to the gradient, from dL/d(output) (n, outs) of the last ``forward`` with ``keep``."""
-        for k, features in enumerate(self._kept):
+    def backward(self, d_out: NDArray, kept: list[list[NDArray]] | None = None, to_rows: bool = False) -> NDArray:
+        """Add to the gradient, from dL/d(output) (n, outs) of the last ``forward`` with ``keep``, or of that which left
+        ``kept``; returns dL/d(rows) (n, ins) if ``to_rows``, else nothing of use."""
+        by_rows = np.zeros((len(d_out) if to_rows else 0, self.sizes[0]), np.float32)
+        for k, features in enumerate(self.kept if kept is None else kept):
             part = d_out[k * _ROWS : (k + 1) * _ROWS]
             shape = (1, -(-len(part) // PIXELS) * PIXELS)
             image = np.zeros((*shape, part.shape[1]), np.float32)
@@ -150,10 +152,14 @@ class DenseChain(Network):
             dy = to_blocks(image, 0)
             for i in reversed(range(len(self.layers))):
                 layer = self.layers[i]
-                dx = np.zeros(layer.ins * shape[1] * LANES, np.float32) if i else None
+                dx = np.zeros(layer.ins * shape[1] * LANES, np.float32) if i or to_rows else None
                 layer.backward(self.weights, self.gradient, features[i], features[i + 1], 0, dx, dy, 0, shape, 0)
                 if dx is not None:
                     dy = dx
+            if to_rows:
+                rows = from_blocks(dy, self.layers[0].ins, *shape, 0)[0, : len(part), : self.sizes[0]]
+                by_rows[k * _ROWS : k * _ROWS + len(part)] = rows
+        return by_rows
 
 
 class DenseNet(Network):
