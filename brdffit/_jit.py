@@ -23,7 +23,7 @@ _KERNEL_ROOMS = {
     "fitting": ("models", "halfangle", "fitting"),
     "render": ("models", "halfangle", "render"),
     "nets": ("nets",),
-    "learned": ("models", "halfangle", "fitting", "nets", "learned"),
+    "learned": ("models", "halfangle", "fitting", "nets", "learned/kernels"),
     "probes": ("probes/kernels",),
     "microgeometry": ("models", "halfangle", "render", "microgeometry/kernels"),
     "neural": ("nets", "neural/kernels"),

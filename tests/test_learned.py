@@ -7,18 +7,34 @@ import pytest
 from click.testing import CliRunner
 
 from brdffit.cli import main
+from brdffit.colour import LUMINANCE
 from brdffit.errors import InputError
+from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOBE_COLUMNS, MIXTURE
-from brdffit.learned import moments as m
 from brdffit.learned import residual
-from brdffit.learned.crops import LEVELS, SIDE, TEXELS, crop_of, noise_mask, trilinear, within
+from brdffit.learned.crops import LEVELS, POINTS, SIDE, TEXELS, crop_of, noise_mask, trilinear, within
 from brdffit.learned.data import footprints
-from brdffit.learned.latent import INPUTS, LatentNetworks, encode_image, inputs_of, lift_back, lifted, luminance_of
-from brdffit.learned.latent_training import interpolated_loss, learn_crop, pooled, spread_back
-from brdffit.learned.method import Latent, Learned
-from brdffit.learned.network import ResidualNetwork, difference
+from brdffit.learned.kernels import moments as m
+from brdffit.learned.kernels.footprints import COLOUR, DIFFUSE, ENERGY, PLANE, SUMS, sum_blocks
+from brdffit.learned.kernels.interpolation import LIFTED, lift_rows, spread_rows
+from brdffit.learned.kernels.tables import errors_of
+from brdffit.learned.latent import (
+    INPUTS,
+    LONGEST,
+    MODELS,
+    LatentNetworks,
+    encode_image,
+    filtered_lobe,
+    inputs_of,
+    lifted,
+)
+from brdffit.learned.latent_losses import exact_loss, half_vectors, rendering_loss
+from brdffit.learned.latent_method import Latent
+from brdffit.learned.latent_training import learn_crop, pooled, spread_back
+from brdffit.learned.method import Learned
+from brdffit.learned.mipnet_method import Mipnet
+from brdffit.learned.network import SHIPPED, ResidualNetwork, difference, load_network
 from brdffit.learned.residual_training import loss_of
-from brdffit.learned.tables import errors_of
 from brdffit.methods import Material
 from brdffit.nets.adam import Adam
 from brdffit.svbrdf import Svbrdf
@@ -46,7 +62,7 @@ def bumpy(size=64, seed=0, steepness=0.3, roughness=(0.1, 0.3)):
 
 
 def bake(svbrdf, name, **options):
-    method = {"learned": Learned, "latent": Latent}[name]()
+    method = {"learned": Learned, "latent": Latent, "mipnet": Mipnet}[name]()
     return method.bake(Material(svbrdf), method.options(**options)).lobes
 
 
@@ -131,7 +147,7 @@ def test_no_correction_is_the_closed_form_and_lobes_alike_take_none():
     lobes = some_lobes()[0]
     features, closed = m.features_of(moments_of(lobes))
     theta = residual.compose(closed, np.zeros((1, 5)))
-    np.testing.assert_allclose(theta[0, 2:], closed[0, m.LOG_TENSOR :])
+    np.testing.assert_allclose(theta[0, 2:], closed[0, m.LOG_TENSOR : m.TURN])
     np.testing.assert_allclose(theta[0, :2], -closed[0, :2] / closed[0, 2], rtol=1e-12)
     assert 0.0 < difference(features)[0] < 1.0
     lobes[:, :3], lobes[:, ALPHA_SQUARED] = [0.0, 0.6, 0.8], 0.05  # and with stretched lobes, in test_reference
@@ -188,14 +204,27 @@ def test_an_untrained_network_is_the_closed_form_and_training_beats_it(table):
 
 
 def test_normals_are_lifted_and_pulled_back():
+    """Within the disc and beyond it, by one point that reads each texel alone."""
     rng = np.random.default_rng(8)
-    xy = np.concatenate([rng.uniform(-0.6, 0.6, (20, 2)), rng.uniform(1.0, 2.0, (5, 2))])
-    np.testing.assert_allclose(np.linalg.norm(lifted(xy), axis=1), 1.0, rtol=1e-12)
-    weigh = rng.standard_normal((25, 3))
+    said = np.zeros((25, 6))
+    said[:, :2] = np.concatenate([rng.uniform(-0.6, 0.6, (20, 2)), rng.uniform(1.0, 2.0, (5, 2))])
+    taps, shares = np.arange(25)[:, None], np.ones((25, 1))
+    weigh = np.concatenate([rng.standard_normal((25, 3)), np.zeros((25, 4))], axis=1)
+
+    def lift(said):
+        whole = np.empty((25, LIFTED))
+        lift_rows(said, LONGEST, whole)
+        return whole
+
+    whole = lift(said)
+    np.testing.assert_allclose(np.linalg.norm(whole[:, :3], axis=1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(whole[:, :3], lifted(said[:, :2]))
+    by_said = np.empty((25, 6))
+    spread_rows(said, whole, taps, shares, weigh, np.empty((25, LIFTED)), LONGEST, by_said)
     for k in range(2):
-        by = np.eye(2)[k] * 1e-6
-        quotient = ((lifted(xy + by) - lifted(xy - by)) * weigh).sum(axis=1) / 2e-6
-        np.testing.assert_allclose(quotient, lift_back(xy, weigh)[:, k], rtol=1e-5, atol=1e-7)
+        by = np.eye(6)[k] * 1e-6
+        quotient = ((lift(said + by) - lift(said - by)) * weigh).sum(axis=1) / 2e-6
+        np.testing.assert_allclose(quotient, by_said[:, k], rtol=1e-5, atol=1e-7)
 
 
 def test_pooling_and_its_transpose():
@@ -223,21 +252,62 @@ def test_trilinear_weights_read_a_ramp():
 @pytest.fixture(scope="module")
 def crop():
     base = bumpy(SIDE, seed=11)
-    return crop_of(base.normal, base.log_roughness, luminance_of(base.specular), np.random.default_rng(12))
+    return crop_of(base.normal, base.log_roughness, base.specular @ LUMINANCE, np.random.default_rng(12))
 
 
-def test_gradient_of_the_interpolated_loss(crop):
+@pytest.mark.parametrize("model", MODELS)
+def test_gradient_of_the_exact_loss(crop, model):
     rng = np.random.default_rng(13)
     said = np.zeros((TEXELS, 6))
     said[:, 2:4] = -4.0
     said += rng.normal(0.0, 0.05, said.shape)
-    _, gradient = interpolated_loss(said, crop)
+    _, gradient = exact_loss(said, crop, model)
     direction = gradient / np.linalg.norm(gradient)
     direction[:, 5] = 0.0  # the scale's loss is another function
     step = 1e-2
-    quotient = (
-        interpolated_loss(said + step * direction, crop)[0] - interpolated_loss(said - step * direction, crop)[0]
-    ) / (2 * step)
+    high, low = (exact_loss(said + sign * step * direction, crop, model)[0] for sign in (1, -1))
+    assert (high - low) / (2 * step) == pytest.approx(float((gradient * direction).sum()), rel=QUOTIENT)
+
+
+def test_gradient_of_the_paper_s_loss(crop):
+    """Its denominator is held: of two lobes that differ little, the loss with the first one's denominator."""
+    from brdffit.fitting.batch import model_kernels
+    from brdffit.learned.kernels.rendering import sample_base, seen_rows
+    from brdffit.learned.latent_losses import _interpolated
+
+    rng = np.random.default_rng(13)
+    said = np.zeros((TEXELS, 6))
+    said[:, 2:4] = -3.0
+    said += rng.normal(0.0, 0.05, said.shape)
+    kernels, count = model_kernels("ggx", "ggx"), len(crop.taps)
+    _, gradient = rendering_loss(said, crop, "ggx", np.random.default_rng(3))
+    again = np.random.default_rng(3)
+    offset = again.random((count, 64, 2), dtype=np.float32) - np.float32(0.5)
+    half = half_vectors(64, again)
+    truth, one = np.zeros((count, 64)), np.zeros((1, 6))
+    for i in range(count):
+        for j in range(64):
+            at = crop.x[i] + crop.size[i] * offset[i, j, 0], crop.y[i] + crop.size[i] * offset[i, j, 1]
+            colour = sample_base(crop.normal, crop.tensor, crop.light, *at, one[0])
+            seen_rows(one[:, :5], np.array([colour]), half[:, j : j + 1].copy(), truth[i : i + 1, j : j + 1],
+                      kernels.values, kernels.log_normalisation)  # fmt: skip
+
+    def shown(said):
+        _, mean, theta = _interpolated(said, crop)
+        scale, out = (
+            (crop.shares * crop.pooled_light[crop.taps]).sum(axis=1) * np.exp(mean[:, 6]),
+            np.zeros((count, 64)),
+        )
+        seen_rows(theta, scale, half, out, kernels.values, kernels.log_normalisation)
+        return out
+
+    held = np.square(shown(said)).reshape(-1, POINTS, 64).sum(axis=1, keepdims=True) + 0.01
+
+    def loss(said):
+        return float((np.square(shown(said) - truth).reshape(-1, POINTS, 64) / held).sum(axis=1).mean())
+
+    direction = gradient / np.linalg.norm(gradient)
+    quotient = (loss(said + 1e-2 * direction) - loss(said - 1e-2 * direction)) / 2e-2
     assert quotient == pytest.approx(float((gradient * direction).sum()), rel=QUOTIENT)
 
 
@@ -246,13 +316,48 @@ def test_the_latent_networks_start_as_averaging_and_learn(crop):
     networks.whiten_by(crop.inputs.reshape(-1, INPUTS))
     code = networks.encode(crop.inputs)
     np.testing.assert_allclose(code[..., :INPUTS], (crop.inputs - networks.mean) @ networks.whiten, atol=1e-4)
-    optimisers = [(each, Adam(each.weights.size, (0.95, 0.95), 1e-6)) for each in (networks.encoder, networks.decoder)]
+    optimisers = [(each, Adam(each.weights.size, (0.95, 0.95), 1e-6)) for each in networks.networks().values()]
     losses = []
     for _ in range(60):
         losses.append(learn_crop(networks, crop))
         for network, adam in optimisers:
             adam.step(network.weights, network.gradient, 5e-4)
-    assert losses[-1] < losses[0] - 0.3
+    assert losses[-1] < losses[0] - 0.1
+    after = networks.encode(crop.inputs)[..., :INPUTS]
+    np.testing.assert_array_equal(after, code[..., :INPUTS])  # what rides along stays
+
+
+def test_the_absolute_form_learns_by_the_paper_s_loss(crop):
+    networks = LatentNetworks(np.random.default_rng(14), "absolute")
+    networks.whiten_by(crop.inputs.reshape(-1, INPUTS))
+    said = networks.decode(networks.encode(crop.inputs).reshape(-1, 64))
+    # Started as plain averaging: of a single texel, the texel itself, but for the small rest of the head.
+    assert np.abs(said[:, :5] - crop.inputs.reshape(-1, INPUTS)[:, :5]).mean() < 0.2
+    optimisers = [(each, Adam(each.weights.size, (0.95, 0.95), 1e-6)) for each in networks.networks().values()]
+    losses = []
+    for step in range(80):
+        losses.append(learn_crop(networks, crop, np.random.default_rng(step)))
+        for network, adam in optimisers:
+            adam.step(network.weights, network.gradient, 5e-4)
+    assert np.mean(losses[-20:]) < np.mean(losses[:20])
+
+
+def test_the_filtered_lobe_is_lean_s():
+    """Of two normals under steep tilt, against the covariance taken in the tangent plane of their mean."""
+    normal = np.array([[0.5, 0.1, 0.0], [0.54, 0.06, 0.0]])
+    normal[:, 2] = np.sqrt(1.0 - np.square(normal[:, :2]).sum(axis=1))
+    inputs = inputs_of(normal[None], np.full((1, 2, 3), [-6.0, -6.0, 0.0]), np.full((1, 2), 0.5))
+    lobe = filtered_lobe(inputs.reshape(2, INPUTS).astype(np.float64).mean(axis=0)[None])[0]
+    mean = normal[:, :2].mean(axis=0)
+    np.testing.assert_allclose(lobe[:2], mean, rtol=1e-6)
+    n = np.append(mean, math.sqrt(1.0 - mean @ mean))
+    k = 1.0 / (1.0 + n[2])
+    frame = np.array([[1 - n[0] ** 2 * k, -n[0] * n[1] * k, -n[0]], [-n[0] * n[1] * k, 1 - n[1] ** 2 * k, -n[1]]])
+    x = (normal - normal.mean(axis=0)) @ frame.T
+    sigma = math.exp(-6.0) * np.eye(2) + 2.0 * x.T @ x / 2
+    values, vectors = np.linalg.eigh(sigma)
+    log = vectors @ np.diag(np.log(values)) @ vectors.T
+    np.testing.assert_allclose(lobe[2:], [log[0, 0], log[1, 1], log[0, 1]], atol=0.02)  # what curvature leaves
 
 
 def test_tiles_make_no_difference():
@@ -268,7 +373,7 @@ def test_tiles_make_no_difference():
                                         ("normal", "log_roughness", "specular")}), pool,
         )  # fmt: skip
     np.testing.assert_allclose(np.roll(code, (37, 50), (0, 1)), rolled, atol=1e-4)
-    inputs = inputs_of(svbrdf.normal, svbrdf.log_roughness, luminance_of(svbrdf.specular))
+    inputs = inputs_of(svbrdf.normal, svbrdf.log_roughness, svbrdf.specular @ LUMINANCE)
     inner = slice(16, -16)
     np.testing.assert_allclose(code[inner, inner], networks.encode(inputs)[inner, inner], atol=1e-4)
 
@@ -282,7 +387,7 @@ def test_masks_and_bounds():
     np.testing.assert_allclose(tensor[1], [-4, -4, 0])
 
 
-@pytest.mark.parametrize("name", ["learned", "latent"])
+@pytest.mark.parametrize("name", ["learned", "latent", "mipnet"])
 class TestMethods:
     def test_levels_are_lobes(self, name):
         svbrdf = bumpy(48)
@@ -301,14 +406,15 @@ class TestMethods:
                 assert array.tobytes() == other.tobytes()
 
     def test_other_models_are_refused(self, name):
-        with pytest.raises(InputError, match="are for the lobe model 'ggx', not for 'beckmann'"):
-            bake(bumpy(16), name, model="beckmann")
+        known = "models 'ggx' and 'beckmann'" if name == "latent" else "model 'ggx'"
+        with pytest.raises(InputError, match=f"are for the lobe {known}, not for 'blinn-phong'"):
+            bake(bumpy(16), name, model="blinn-phong")
 
     def test_shipped_weights_say_where_they_come_from(self, name):
         from brdffit.learned.latent import load_networks
-        from brdffit.learned.network import load_network
+        from brdffit.learned.mipnet import load_mipnet
 
-        _, meta = load_network() if name == "learned" else load_networks()
+        _, meta = {"learned": load_network, "latent": load_networks, "mipnet": load_mipnet}[name]()
         assert meta["kind"] == name and meta["model"] == "ggx"
         assert len(meta["held_out_sets"]) >= 4
         assert not set(meta["held_out_sets"]) & set(meta["training_sets"])
@@ -316,7 +422,6 @@ class TestMethods:
 
 
 def test_the_shipped_network_beats_its_closed_form():
-    from brdffit.learned.network import load_network
     from brdffit.learned.residual_training import error_of
 
     network, _ = load_network()
@@ -324,6 +429,55 @@ def test_the_shipped_network_beats_its_closed_form():
     _, closed = m.features_of(table.moments)
     before = errors_of(table, np.arange(len(table)), residual.compose(closed, np.zeros((len(table), 5)))).error
     assert error_of(network, table).mean() < 0.8 * before.mean()  # 1 dB
+
+
+def test_the_latent_decodes_either_model_of_either_base():
+    """The lobe that is said has the energy of its model: Beckmann's is wider at the same highlight."""
+    for source in MODELS:
+        base = bumpy(32).replace(model=source)
+        same, other = (
+            bake(base, "latent", model=model).levels[2].svbrdf for model in (source, *set(MODELS) - {source})
+        )
+        assert same.model == source and other.model != source
+        wider = float((other.log_roughness - same.log_roughness)[..., :2].mean())
+        assert (wider > 0.0) == (source == "ggx")
+
+
+def test_what_is_said_in_one_pass_is_what_the_network_says():
+    """Coloured, anisotropic lobes, rows that fill no vector: the kernel against its parts in numpy."""
+    rng = np.random.default_rng(30)
+    svbrdf = bumpy(44, steepness=0.2)
+    svbrdf.specular[:] *= rng.uniform(0.1, 1.0, svbrdf.specular.shape)
+    svbrdf.log_roughness[..., 2] = 0.3
+    svbrdf = svbrdf.replace(diffuse=rng.uniform(0.0, 0.5, svbrdf.diffuse.shape).astype(np.float32))
+    network, _ = load_network(SHIPPED)
+    pyramid, base = bake(svbrdf, "learned"), base_of(svbrdf)
+    for level in (0, 1, 2):  # 44, 22, 11
+        side = 44 >> level
+        columns, rows = (p.reshape(-1) for p in np.meshgrid(np.arange(side), np.arange(side)))
+        sums = np.zeros((side * side, SUMS))
+        sum_blocks(base, columns << level, rows << level, 1 << level, sums)
+        said = network.predict(sums[:, : m.MOMENTS] / sums[:, ENERGY : ENERGY + 1])
+        fine = said.covered
+        assert fine.mean() > 0.5
+        lobes = pyramid[level].svbrdf
+        slopes = lobes.normal[..., :2] / lobes.normal[..., 2:]
+        np.testing.assert_allclose(-slopes.reshape(-1, 2)[fine], said.theta[fine, :2], atol=2e-5)
+        inside = (said.theta[:, 2:4] < -1.0).all(axis=1) & fine
+        np.testing.assert_allclose(lobes.log_roughness.reshape(-1, 3)[inside], said.theta[inside, 2:], atol=2e-5)
+        colour = sums[:, COLOUR : COLOUR + 3] * said.factor[:, None]
+        np.testing.assert_allclose(lobes.specular.reshape(-1, 3)[fine], colour[fine], rtol=1e-5, atol=1e-7)
+
+
+def test_sums_of_a_flat_base_are_its_own():
+    flat = bumpy(16, steepness=1e-6, roughness=(0.2, 0.2))
+    sums = np.zeros((1, SUMS))
+    sum_blocks(base_of(flat), np.array([4]), np.array([8]), 4, sums)
+    sums = sums[0]
+    np.testing.assert_allclose(sums[COLOUR : COLOUR + 3], 0.5, rtol=1e-6)
+    assert sums[ENERGY] == pytest.approx(1.5, rel=1e-6) and sums[9] / 1.5 == pytest.approx(1.0, rel=1e-6)
+    np.testing.assert_allclose(sums[m.TENSOR : m.TENSOR + 2] / 1.5, 0.2**4, rtol=1e-5)
+    assert (sums[DIFFUSE:] == 0.0).all() and PLANE % 16 == 0
 
 
 def test_strange_texels_are_fitted_and_counted():
@@ -342,13 +496,13 @@ def write_set(folder, svbrdf):
     return folder
 
 
-@pytest.mark.parametrize("kind", ["learned", "latent"])
+@pytest.mark.parametrize("kind", ["learned", "latent", "mipnet"])
 def test_training_by_command_repeats_and_resumes(kind, tmp_path, monkeypatch):
     from brdffit.learned import latent_training, residual_training, training
     from brdffit.nets.weights import read_weights
 
     monkeypatch.setattr(latent_training, "CROPS", 8)
-    monkeypatch.setattr(latent_training.LatentTask.__init__, "__defaults__", (8,))
+    monkeypatch.setattr(latent_training.LatentTask.__init__, "__defaults__", (8, "exact", "correction"))
     monkeypatch.setattr(residual_training.ResidualTask.__init__, "__defaults__", (600,))
     monkeypatch.setattr(training, "_FIGURE_SECONDS", 0.0)
     one, two = write_set(tmp_path / "one", bumpy(64)), write_set(tmp_path / "two", bumpy(64, seed=3))
@@ -396,30 +550,79 @@ def test_a_stopped_training_goes_on_where_it_was(tmp_path, monkeypatch):
     assert all(np.array_equal(one[name], two[name]) for name in one)
 
 
-def test_moments_of_a_level_are_those_of_the_level_before():
-    """Pooled, against gathered anew with many samples: the union of four footprints is the footprint."""
+def test_moments_of_four_lobes_a_texel_are_those_of_many():
+    """Straight from base texels, against footprints gathered with many samples."""
     from brdffit.fitting.method import level_rules
     from brdffit.fitting.presets import get_quality
     from brdffit.footprint import get_pixel_filter
-    from brdffit.halfangle.apparent_lobe import base_of
-    from brdffit.learned.gathering import gather, pooled
+    from brdffit.learned.kernels.footprints import COLUMNS
+    from brdffit.learned.kernels.gathering import gather_tiles
 
     svbrdf = bumpy(32, steepness=0.2)
     shade = np.linspace(0.2, 1.0, 32, dtype=np.float32)[:, None, None] * np.ones((1, 32, 3), np.float32)
-    base, levels = base_of(svbrdf.replace(specular=shade)), []
-    for level in (1, 2):
-        side = 32 >> level
-        rules = level_rules(get_pixel_filter("box"), (32, 32), (side, side), level, get_quality("fine"))
-        index = np.arange(side * side)
-        levels.append(gather(base, rules.strata, rules.room, index % side, index // side))
-    for ours, theirs in zip(pooled(levels[0], (16, 16)), levels[1], strict=True):
-        # What two samplings of bilinear patches differ by.
-        assert (np.abs(ours.astype(float) - theirs) <= 5e-3 * np.abs(theirs).max(axis=0) + 1e-6).all()
+    svbrdf = svbrdf.replace(specular=shade)
+    base, level, side = base_of(svbrdf), 2, 8
+    rules = level_rules(get_pixel_filter("box"), (32, 32), (side, side), level, get_quality("fine"))
+    tiles = gather_tiles(base, rules.strata, rules.room, 0, side, side).reshape(-1, SUMS, 2, COLUMNS)
+    gathered = tiles[..., :side].transpose(0, 2, 3, 1).reshape(side * side, SUMS)
+    columns, rows = (p.reshape(-1) for p in np.meshgrid(np.arange(side), np.arange(side)))
+    sums = np.zeros((side * side, SUMS))
+    sum_blocks(base, columns << level, rows << level, 1 << level, sums)
+    np.testing.assert_allclose(sums[:, COLOUR : COLOUR + 3], gathered[:, COLOUR : COLOUR + 3], rtol=2e-3)
+    ours, theirs = (m.features_of(each[:, : m.MOMENTS] / each[:, ENERGY : ENERGY + 1])[1] for each in (sums, gathered))
+    # The closed forms: normals to a tenth of a lobe, tensors to a tenth.
+    assert (np.abs(ours[:, :3] - theirs[:, :3]) < 0.1 * theirs[:, m.ROOTS, None]).all()
+    assert np.abs(ours[:, m.LOG_TENSOR :][:, :3] - theirs[:, m.LOG_TENSOR :][:, :3]).max() < 0.1
+
+
+def test_gradients_of_the_mipnet():
+    """Through one step by its inputs, and through all levels of a patch by its weights."""
+    from brdffit.learned.mipnet import TEXEL, MipNetwork, fours, fours_back, taken
+    from brdffit.learned.mipnet_training import learn_patch
+
+    rng = np.random.default_rng(40)
+    network = MipNetwork(rng)
+    network.chain.weights[:] = rng.normal(0, 0.05, network.chain.weights.shape)
+    four = np.concatenate([rng.normal(0, 0.2, (30, 4, 2)), rng.normal(-3, 0.5, (30, 4, 3))], axis=2)
+    four[:3, :, :2] = 0.9  # beyond the disc
+    weigh, step = rng.standard_normal((30, TEXEL)), 1e-3
+    _, kept = network.forward(four, keep=True)
+    back = network.backward(weigh, kept)
+    for k in range(TEXEL):
+        by = np.zeros_like(four)
+        by[:, :, k] = rng.standard_normal((30, 4))
+        ends = [(network.forward(four + sign * step * by)[0] * weigh).sum() for sign in (1, -1)]
+        assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(float((back * by).sum()), rel=0.01, abs=0.01)
+    base = bumpy(SIDE, seed=41)
+    patch = base.normal, base.log_roughness, base.specular @ LUMINANCE, half_vectors(16, rng)
+    network.chain.gradient[:] = 0.0
+    learn_patch(network, *patch)
+    gradient, weights = network.chain.gradient.copy(), network.chain.weights.copy()
+    direction = gradient / np.linalg.norm(gradient)
+    ends = []
+    for sign in (1, -1):
+        network.chain.weights[:] = weights + sign * 1e-3 * direction
+        ends.append(learn_patch(network, *patch))
+    assert (ends[0] - ends[1]) / 2e-3 == pytest.approx(float(np.linalg.norm(gradient)), rel=QUOTIENT)
+    image = rng.standard_normal((6, 4, 3))
+    np.testing.assert_array_equal(fours_back(fours(image), (6, 4)), image)
+    np.testing.assert_array_equal(taken(image, (3, 2)), fours(image))
+    assert taken(image[:5], (2, 2)).shape == (4, 4, 3)
+
+
+def test_the_judge_s_table(tmp_path):
+    import json
+
+    folder, rows = write_set(tmp_path / "one", bumpy(64)), tmp_path / "rows.json"
+    asked = ["learn", "judge", str(folder), "--methods", "learned,latent,mipnet,lean,bfgs", "--texels", "4"]
+    result = CliRunner().invoke(main, [*asked, "-o", str(rows)])
+    assert result.exit_code == 0, result.output
+    found = {row["method"]: row["snr"] for row in json.loads(rows.read_text())}
+    assert list(found) == ["learned", "latent", "mipnet", "lean", "bfgs"] and len(found["lean"]) == 5
+    assert np.mean(found["bfgs"]) > np.mean(found["lean"])
 
 
 def test_weights_of_the_other_method_are_refused(tmp_path):
-    from brdffit.learned.network import SHIPPED
-
     with pytest.raises(InputError, match="of kind 'learned', expected 'latent'"):
         bake(bumpy(16), "latent", weights=str(SHIPPED))
     with pytest.raises(InputError, match="cannot be read"):

@@ -8,10 +8,13 @@ from typing import Any
 
 import click
 
+#: Methods of `learn judge`.
+_JUDGED = "bfgs,learned,latent,mipnet,lean,vmf,naive"
+
 
 @click.group()
 def learn() -> None:
-    """Train the networks of the methods `learned` and `latent`."""
+    """Train the networks of the methods `learned`, `latent` and `mipnet`."""
 
 
 def _options(command: Callable[..., None]) -> Callable[..., None]:
@@ -41,12 +44,31 @@ def learned(**asked: Any) -> None:
 
 
 @learn.command()
+@click.option(
+    "--loss", type=click.Choice(["exact", "paper"]), default="exact", show_default=True,
+    help="The half-angle objective, or one sample a pixel as in the paper.",
+)  # fmt: skip
+@click.option(
+    "--form", type=click.Choice(["correction", "absolute"]), default="correction", show_default=True,
+    help="Outputs: corrections of LEAN's lobe of the filtered code, or the lobe itself as in the paper.",
+)  # fmt: skip
 @_options
-def latent(**asked: Any) -> None:
-    """Train encoder and decoder of a filterable code on SETs (Kemppinen et al. 2023)."""
+def latent(loss: str, form: str, **asked: Any) -> None:
+    """Train encoders and decoders of a filterable code on SETs (Kemppinen et al. 2023)."""
+    from functools import partial
+
     from brdffit.learned.latent_training import LatentTask
 
-    _train(LatentTask, **asked)
+    _train(partial(LatentTask, loss=loss, form=form), **asked)
+
+
+@learn.command()
+@_options
+def mipnet(**asked: Any) -> None:
+    """Train a network from four texels to one on SETs (after Gauthier et al. 2022)."""
+    from brdffit.learned.mipnet_training import MipnetTask
+
+    _train(MipnetTask, **asked)
 
 
 def _train(
@@ -80,3 +102,43 @@ def _train(
 
         train(made, output, minutes=minutes, steps=steps, seed=seed, resume=resume, told=told)
     click.echo(f"Wrote {output} and its curve {output.with_suffix('.svg')}.")
+
+
+@learn.command()
+@click.option(
+    "--methods", default="bfgs,learned,latent,mipnet,lean,vmf,naive", show_default=True, help="Rows, by commas."
+)
+@click.option("--texels", type=click.IntRange(min=1), default=48, show_default=True, help="Random texels of a level.")
+@click.option("--model", default="ggx", show_default=True, help="Lobe model of the levels.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the rows as JSON too.")
+@click.argument("sources", metavar="SET...", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+def judge(sources: tuple[Path, ...], methods: str, texels: int, model: str, output: Path | None) -> None:
+    """Half-angle SNR in dB of methods on SETs, levels 1 to 5: sets that no training saw tell the truth."""
+    import dataclasses
+    import json
+
+    from brdffit.files.atomic import write_text
+    from brdffit.learned.judge import LEVELS, judge, mean_rows
+
+    heads = "".join(f"{f'level {level}':>9}" for level in LEVELS)
+    tables = []
+
+    def show(rows: list[Any]) -> None:
+        for row in rows:
+            figures = "".join(f"{value:9.2f}" for value in row.snr).ljust(len(heads))
+            seconds = "" if row.seconds is None else f"{row.seconds:8.2f} s"
+            mean = f"{row.mean:8.2f}" if row.snr else ""
+            click.echo(f"{row.source:24}{row.method:10}{figures}{mean}{seconds}")
+
+    click.echo(f"{'set':24}{'method':10}{heads}{'mean':>8}{'bake':>10}")
+    for rows in judge(sources, [name.strip() for name in methods.split(",")], texels, model):
+        tables.append(rows)
+        show(rows)
+        for row in rows:
+            for note in row.notes:
+                click.echo(f"  {row.method}: {note}")
+    if len(tables) > 1:
+        show(mean_rows(tables))
+    if output is not None:
+        records = [dataclasses.asdict(row) for table in tables for row in table]
+        write_text(output, json.dumps(records, indent=1) + "\n")

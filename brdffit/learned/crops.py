@@ -15,12 +15,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.colour import LUMINANCE
+from brdffit.fitting.batch import model_kernels
 from brdffit.fitting.presets import get_quality
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of, strata
 from brdffit.learned.data import read_set
-from brdffit.learned.latent import inputs_of, luminance_of
-from brdffit.learned.tables import Table, tabulate
+from brdffit.learned.kernels.tables import Table, tabulate
+from brdffit.learned.latent import MODELS, inputs_of
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 from brdffit.svbrdf import Svbrdf
 
@@ -28,9 +30,10 @@ SIDE = 32
 #: Levels of a crop's pyramid, and its texels in all.
 LEVELS = 6
 TEXELS = sum((SIDE >> level) ** 2 for level in range(LEVELS))
-#: Scales that a crop is judged at, and points a scale. Footprints lie within the crop: levels -0.5 to 5.
+#: Scales that a crop is judged at, and points a scale. Footprints lie within the crop; those of more than it, beyond
+#: level 5, see it repeated.
 SCALES, POINTS = 12, 16
-_LOWEST, _HIGHEST = -0.5, 5.0
+_LOWEST, _HIGHEST = -0.5, 5.5
 #: Samples of a footprint along an axis, at most.
 _MOST_SAMPLES = 24
 _TAPS = 8
@@ -41,16 +44,28 @@ class Crop:
     """One patch.
 
     Attributes:
+        model: lobe model of the base.
         inputs: (32, 32, INPUTS) float32, before whitening.
-        table: footprints at random points and scales.
-        taps: (n, 8) int64, rows of the pyramid of all levels that trilinear filtering reads for each of them.
+        taps: (n, 8) int64, rows of the pyramid of all levels that trilinear filtering reads for each point.
         shares: (n, 8) their weights.
+        x, y, size: (n,) centre and width of each point's footprint in base texels; runs of POINTS share one size.
+        table: the exact objective of the footprints; None where it is not wanted.
+        normal, tensor, light: the base itself, (32, 32, 3), (32, 32, 3) log, (32, 32) luminance, float32.
+        pooled_light: (TEXELS,) luminance of all levels.
     """
 
+    model: str
     inputs: NDArray
-    table: Table
     taps: NDArray
     shares: NDArray
+    x: NDArray
+    y: NDArray
+    size: NDArray
+    table: Table | None
+    normal: NDArray
+    tensor: NDArray
+    light: NDArray
+    pooled_light: NDArray
 
 
 class Source:
@@ -59,7 +74,7 @@ class Source:
     def __init__(self, path: str | Path) -> None:
         svbrdf = read_set(path)
         self.normal, self.log_roughness = svbrdf.normal, svbrdf.log_roughness
-        self.luminance = luminance_of(svbrdf.specular)
+        self.luminance = svbrdf.specular @ LUMINANCE
 
     def patch(self, rng: np.random.Generator) -> tuple[NDArray, NDArray, NDArray]:
         """An augmented patch: normals, log tensors, luminance."""
@@ -131,8 +146,8 @@ def noise_mask(rng: np.random.Generator) -> NDArray:
     return total > np.quantile(total, rng.uniform(0.1, 0.9))
 
 
-def make_crop(sources: Sequence[Source], rng: np.random.Generator) -> Crop:
-    """A patch of a random set, half of them with another behind a mask, and footprints in it."""
+def make_crop(sources: Sequence[Source], rng: np.random.Generator, exact: bool = True) -> Crop:
+    """A patch of a random set, half of them with another behind a mask, its lobes of a random model."""
     patch = sources[int(rng.integers(len(sources)))].patch(rng)
     if rng.random() < 0.5:
         other, mask = sources[int(rng.integers(len(sources)))].patch(rng), noise_mask(rng)
@@ -140,36 +155,51 @@ def make_crop(sources: Sequence[Source], rng: np.random.Generator) -> Crop:
             np.where(mask[..., None] if one.ndim == 3 else mask, one, two)
             for one, two in zip(patch, other, strict=True)
         )  # type: ignore[assignment]
-    normal, tensor, luminance = (np.ascontiguousarray(part, np.float32) for part in patch)
-    return crop_of(normal, tensor, luminance, rng)
+    normal, tensor, light = (np.ascontiguousarray(part, np.float32) for part in patch)
+    return crop_of(normal, tensor, light, rng, MODELS[int(rng.integers(len(MODELS)))], exact)
 
 
-def crop_of(normal: NDArray, tensor: NDArray, luminance: NDArray, rng: np.random.Generator) -> Crop:
-    """A crop of these maps with footprints at random scales and points."""
-    grey = np.repeat(luminance[..., None], 3, axis=2)
-    base = base_of(Svbrdf(normal, tensor, grey, np.zeros_like(grey), wrap="clamp"))
+def crop_of(
+    normal: NDArray, tensor: NDArray, light: NDArray, rng: np.random.Generator, model: str = MODELS[0],
+    exact: bool = True,
+) -> Crop:  # fmt: skip
+    """A crop of these maps with footprints at random scales and points; ``exact`` makes their tables."""
+    grey = np.repeat(light[..., None], 3, axis=2)
+    svbrdf = Svbrdf(normal, tensor, grey, np.zeros_like(grey), model=model, wrap="clamp")
+    bases = {wrap: base_of(svbrdf.replace(wrap=wrap)) for wrap in ("clamp", "tile")}
+    kernels = model_kernels(model, "ggx")
     quality, pixel_filter = get_quality("draft"), get_pixel_filter("box")
-    tables, taps, shares = [], [], []
+    tables, taps, shares, places = [], [], [], []
     for k in range(SCALES):
         level = _LOWEST + (_HIGHEST - _LOWEST) * (k + rng.random()) / SCALES
         scale = 2.0**level
-        per_texel = 2 * max(1, math.ceil(0.5 * quality.least / max(scale, 1.0)))
-        size = (SIDE / scale, SIDE / scale)
-        rule = strata(pixel_filter, (SIDE, SIDE), size, per_texel, _MOST_SAMPLES, 0, quality.merge)  # type: ignore[arg-type]
-        half = 0.5 * scale
-        x, y = (rng.uniform(half, SIDE - half, POINTS) for _ in range(2))
-        table = tabulate(base, rule, x, y, 4 * rule.samples + quality.room + 1)
-        if len(table) < POINTS:  # a black patch: nothing to learn from
-            continue
-        tables.append(table)
+        half = 0.5 * min(scale, SIDE)
+        x, y = (rng.uniform(half, max(SIDE - half, half + 1e-6), POINTS) for _ in range(2))
+        if exact:
+            per_texel = 2 * max(1, math.ceil(0.5 * quality.least / max(scale, 1.0)))
+            size = (SIDE / scale, SIDE / scale)
+            rule = strata(pixel_filter, (SIDE, SIDE), size, per_texel, _MOST_SAMPLES, 0, quality.merge)  # type: ignore[arg-type]
+            base = bases["tile" if scale > SIDE else "clamp"]
+            table = tabulate(base, rule, x, y, 4 * rule.samples + quality.room + 1, kernels)
+            if len(table) < POINTS:  # a black patch: nothing to learn from
+                continue
+            tables.append(table)
         here, weights = trilinear(x, y, level)
         taps.append(here)
         shares.append(weights)
-    if not tables:
-        return crop_of(normal, tensor, np.full_like(luminance, 0.5), rng)
+        places.append((x, y, np.full(POINTS, scale)))
+    if not places:
+        return crop_of(normal, tensor, np.full_like(light, 0.5), rng, model, exact)
+    levels = [light]
+    for _ in range(LEVELS - 1):
+        side = len(levels[-1]) // 2
+        levels.append(levels[-1].reshape(side, 2, side, 2).mean(axis=(1, 3)))
+    centre_x, centre_y, width = (np.concatenate(part) for part in zip(*places, strict=True))
     return Crop(
-        inputs_of(normal, tensor, luminance), Table.joined(tables), np.concatenate(taps), np.concatenate(shares)
-    )
+        model=model, inputs=inputs_of(normal, tensor, light), taps=np.concatenate(taps), shares=np.concatenate(shares),
+        x=centre_x, y=centre_y, size=width, table=Table.joined(tables) if exact else None, normal=normal, tensor=tensor,
+        light=light, pooled_light=np.concatenate([level.reshape(-1) for level in levels]),
+    )  # fmt: skip
 
 
 def trilinear(x: NDArray, y: NDArray, level: float) -> tuple[NDArray, NDArray]:

@@ -8,14 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from brdffit.errors import InputError
 from brdffit.fitting.method import level_rules
 from brdffit.fitting.presets import get_quality
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import Strata, base_of
-from brdffit.learned.tables import Table, tabulate
+from brdffit.learned.kernels.footprints import ENERGY, SUMS, sum_blocks
+from brdffit.learned.kernels.moments import MOMENTS
+from brdffit.learned.kernels.tables import Table, tabulate
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures.conversion import to_svbrdf
@@ -64,13 +65,19 @@ def level_strata(base_size: tuple[int, int], level: int) -> tuple[Strata, int]:
 
 
 def footprints(svbrdf: Svbrdf, level: int, count: int, rng: np.random.Generator) -> Table:
-    """Random texels of a level."""
+    """Random texels of a level, with the moments that a bake takes of them."""
     sizes = level_sizes(svbrdf.size)
-    height, width = sizes[min(level, len(sizes) - 1)]
+    level = min(level, len(sizes) - 1)
+    height, width = sizes[level]
     strata, room = level_strata(svbrdf.size, level)
-    x = (rng.integers(0, width, count) + 0.5) * svbrdf.size[1] / width
-    y = (rng.integers(0, height, count) + 0.5) * svbrdf.size[0] / height
-    return tabulate(base_of(svbrdf), strata, x, y, room)
+    columns, rows = rng.integers(0, width, count), rng.integers(0, height, count)
+    x, y, base = (columns + 0.5) * svbrdf.size[1] / width, (rows + 0.5) * svbrdf.size[0] / height, base_of(svbrdf)
+    moments = None
+    if svbrdf.size == (height << level, width << level):
+        sums = np.zeros((count, SUMS))
+        sum_blocks(base, columns << level, rows << level, 1 << level, sums)
+        moments = sums[:, :MOMENTS] / sums[:, ENERGY : ENERGY + 1]
+    return tabulate(base, strata, x, y, room, moments=moments)
 
 
 def training_table(sources: Sequence[str | Path], texels: int, rng: np.random.Generator) -> Table:
@@ -90,8 +97,3 @@ def training_table(sources: Sequence[str | Path], texels: int, rng: np.random.Ge
     if not len(table):
         raise InputError("The sets reflect nothing; there is nothing to train on.")
     return table
-
-
-def positions(count: int, size: tuple[int, int], rng: np.random.Generator) -> tuple[NDArray, NDArray]:
-    """Random points (x, y) of a texture, in base texels."""
-    return rng.uniform(0.0, size[1], count), rng.uniform(0.0, size[0], count)

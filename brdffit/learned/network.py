@@ -9,34 +9,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.learned.moments import DEVIATION, FEATURES, SHARPEST, TENSORS, features_of
-from brdffit.learned.residual import CORRECTIONS, MOST, compose
+from brdffit.learned.kernels.moments import DEVIATION, FEATURES, SHARPEST, TENSORS, features_of
+from brdffit.learned.kernels.saying import ALIKE, FARTHEST, LOG_MOST, MOST, OUTPUTS, Said
+from brdffit.learned.residual import CORRECTIONS, compose
 from brdffit.nets.layers import DenseChain
 from brdffit.nets.weights import read_weights, shaped
 
 KIND = "learned"
 #: Weights that the program ships.
 SHIPPED = Path(__file__).parent / "weights" / "learned-ggx.npz"
-#: Outputs: the correction, and the log of the scale over the filtered colour.
-OUTPUTS = CORRECTIONS + 1
-#: Normalised features beyond this are cut: a network says nothing sensible of what it has never seen.
-_FARTHEST = 4.0
-#: Scales are never corrected by more than this factor, in either direction.
-_LOG_MOST = 2.0
-
-
-#: Where lobes differ by less than this, corrections fade.
-_ALIKE = 0.05
 
 
 def difference(features: NDArray) -> NDArray:
     """Factor (n,) of corrections, 0 where all lobes of a footprint are alike and the closed form is exact, else to 1.
 
-    With x what normals take of the widened tensor's two axes, and how far sizes differ, it is x / (x + ``_ALIKE``).
+    With x what normals take of the widened tensor's two axes, and how far sizes differ, it is x / (x + ``ALIKE``).
     """
     by_normals = np.maximum(2.0 - features[:, TENSORS] - features[:, TENSORS + 1], 0.0)
     x = by_normals + features[:, DEVIATION] + np.maximum(features[:, SHARPEST], 0.0)
-    return x / (x + _ALIKE)
+    return x / (x + ALIKE)
 
 
 class Prediction(NamedTuple):
@@ -77,7 +68,7 @@ class ResidualNetwork:
 
     def normalised(self, features: NDArray) -> NDArray:
         """Inputs of the chain, float32."""
-        return np.clip((features - self.mean) / self.deviation, -_FARTHEST, _FARTHEST).astype(np.float32)
+        return np.clip((features - self.mean) / self.deviation, -FARTHEST, FARTHEST).astype(np.float32)
 
     def predict(self, moments: NDArray) -> Prediction:
         """Lobes of footprints with these moments (n, MOMENTS) float64."""
@@ -85,8 +76,17 @@ class ResidualNetwork:
         out = self.chain.forward(self.normalised(features)) * difference(features)[:, None]
         out = np.clip(out, -MOST, MOST)
         covered = np.all((features >= self.low) & (features <= self.high), axis=1)
-        factor = np.exp(np.clip(out[:, CORRECTIONS], -_LOG_MOST, _LOG_MOST))
+        factor = np.exp(np.clip(out[:, CORRECTIONS], -LOG_MOST, LOG_MOST))
         return Prediction(compose(closed, out[:, :CORRECTIONS]), factor, covered)
+
+    def said(self, log_low: float, round_lobes: bool, free: bool, up: float) -> Said:
+        """The network for the kernel, and how its results are bounded (see ``Said``)."""
+        layers = [[layer.ins, layer.outs, layer.weights.start, layer.bias.start] for layer in self.chain.layers]
+        table = np.array(layers, np.int64)
+        return Said(
+            self.chain.weights, table, self.mean, 1.0 / self.deviation, self.low, self.high, int(table[:, 1].max()),
+            log_low, float(round_lobes), float(free), up,
+        )  # fmt: skip
 
     def arrays(self) -> dict[str, NDArray]:
         """All that must be kept, for ``write_weights``."""

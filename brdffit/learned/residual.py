@@ -16,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.halfangle.closed_forms import STEEPEST_SLOPE
-from brdffit.learned.moments import FIRST, LOG_TENSOR, NORMAL, ROOTS, SECOND
+from brdffit.learned.kernels.moments import FIRST, LOG_TENSOR, NORMAL, ROOTS, SECOND
 
 #: Numbers of a correction.
 CORRECTIONS = 5
 #: What changes sign when the first axis, or the second, is turned about.
 FIRST_ODD, SECOND_ODD = (0, 4), (1, 4)
-#: Corrections beyond this are cut.
-MOST = 4.0
 
 
 def _axes(closed: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:

@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.learned import moments, residual
+from brdffit.learned import residual
 from brdffit.learned.data import VARIANTS, footprints, read_set, set_digest, training_table
-from brdffit.learned.moments import features_of
+from brdffit.learned.kernels import moments
+from brdffit.learned.kernels.moments import features_of
+from brdffit.learned.kernels.saying import MOST
+from brdffit.learned.kernels.tables import Table, errors_of
 from brdffit.learned.network import KIND, OUTPUTS, ResidualNetwork, difference
-from brdffit.learned.residual import CORRECTIONS, MOST, compose, pull_back
-from brdffit.learned.tables import Table, errors_of
+from brdffit.learned.residual import CORRECTIONS, compose, pull_back
+from brdffit.learned.training import warm_then_falling
 from brdffit.nets.adam import Adam
 from brdffit.nets.layers import Network
 
@@ -22,9 +25,8 @@ from brdffit.nets.layers import Network
 BATCH = 4096
 #: Texels of the training table.
 TEXELS = 160_000
-HIDDEN = (64, 64)
+HIDDEN = (32, 32)
 _RATE, _LAST_RATE = 3e-3, 3e-5
-_WARM_STEPS = 100
 # The loss of a texel is log(e + this): its error counts relative to itself down to there.
 _FLOOR = 0.02
 #: Longest gradient of a texel: a few texels whose walls are steep shall not decide a step.
@@ -70,8 +72,7 @@ class ResidualTask:
 
     def rate(self, step: int, done: float) -> float:
         """Warm up, hold for the first half, then fall geometrically."""
-        fall = 1.0 if done < 0.5 else (_LAST_RATE / _RATE) ** ((done - 0.5) / 0.5)
-        return _RATE * min(1.0, (step + 1) / _WARM_STEPS) * fall
+        return warm_then_falling(step, done, _RATE, _LAST_RATE)
 
     def accumulate(self, rng: np.random.Generator) -> float:
         """One batch of random texels, axes turned about at random."""

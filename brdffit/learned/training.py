@@ -64,6 +64,12 @@ class Task(Protocol):
         ...
 
 
+def warm_then_falling(step: int, done: float, rate: float, last: float, warm: int = 100) -> float:
+    """Learning rate: ``warm`` steps up, held for the first half, then falling geometrically to ``last``."""
+    fall = 1.0 if done < 0.5 else (last / rate) ** ((done - 0.5) / 0.5)
+    return rate * min(1.0, (step + 1) / warm) * fall
+
+
 @dataclass
 class Curve:
     """Mean losses and held-out figures of a training, each with its seconds."""

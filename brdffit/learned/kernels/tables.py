@@ -45,7 +45,8 @@ from brdffit.halfangle.quadrature import (
     tabulate_type,
     weigh_nodes,
 )
-from brdffit.learned.moments import CLOSED, FEATURES, LOG_TENSOR, MOMENTS, features, lobe_moments
+from brdffit.learned.kernels.moments import CLOSED, FEATURES, LOG_TENSOR, MOMENTS, all_features, lobe_moments
+from brdffit.nets.doubles import EIGHT
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 
 #: Nodes of a texel's table. Noise of so few averages out over the texels of a batch.
@@ -114,7 +115,8 @@ def tabulate_rows(
     source_log_normalisation,
 ):  # fmt: skip
     """Fill a table for texels (columns[i], rows[i]); scales (n,) put each footprint's centre where it should be."""
-    feature, closed = np.zeros(FEATURES), np.zeros(CLOSED)
+    # Closed forms come eight at a time; one is wanted.
+    eightfold, feature, closed = np.zeros(MOMENTS * EIGHT), np.zeros(FEATURES * EIGHT), np.zeros(CLOSED * EIGHT)
     diffuse_moment = np.zeros(DIFFUSE_MOMENT)
     for i in range(columns.size):
         here = Strata(
@@ -123,11 +125,16 @@ def tabulate_rows(
         )  # fmt: skip
         count, isotropic, red, green, blue, _ = prepare_lobes(base, here, columns[i], rows[i], lobes, diffuse_moment)
         lobe_moments(lobes, count, isotropic, moments[i])
-        features(moments[i], feature, closed)
-        a, b, c = closed[LOG_TENSOR], closed[LOG_TENSOR + 1], closed[LOG_TENSOR + 2]
+        for k in range(MOMENTS):
+            for j in range(EIGHT):
+                eightfold[k * EIGHT + j] = moments[i, k]
+        all_features(eightfold, EIGHT, feature, closed)
+        a, b = closed[LOG_TENSOR * EIGHT], closed[(LOG_TENSOR + 1) * EIGHT]
+        c = closed[(LOG_TENSOR + 2) * EIGHT]
         add_defensive_lobe(
-            lobes, count, DEFENSIVE_SHARE, -closed[0] / closed[2], -closed[1] / closed[2], min(a, 0.0), min(b, 0.0), c
-        )
+            lobes, count, DEFENSIVE_SHARE, -closed[0] / closed[2 * EIGHT], -closed[EIGHT] / closed[2 * EIGHT],
+            min(a, 0.0), min(b, 0.0), c,
+        )  # fmt: skip
         normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
         frame_lobes(lobes, count, isotropic)
         place_nodes(lobes, count, points, EXPONENT, nodes)
@@ -168,11 +175,13 @@ def _error_kernel() -> Any:
 
 
 def tabulate(
-    base: Base, strata: Strata, x: NDArray, y: NDArray, room: int, kernels: ModelKernels | None = None
-) -> Table:
+    base: Base, strata: Strata, x: NDArray, y: NDArray, room: int, kernels: ModelKernels | None = None,
+    moments: NDArray | None = None,
+) -> Table:  # fmt: skip
     """Footprints with the strata of a level, centred at (x[i], y[i]) base texels (texel 0 is centred at 0.5).
 
-    Texels that reflect nothing are left out.
+    ``kernels``: of the base's model; ``moments`` (n, MOMENTS): in place of those of the gathered lobes. Texels that
+    reflect nothing are left out.
     """
     kernels = kernels or model_kernels("ggx", "ggx")
     texels = len(x)
@@ -187,6 +196,8 @@ def tabulate(
         np.zeros((room, LOBE_COLUMNS)), np.zeros((NODE_ROWS, NODES), np.float32), *table, kernels.tabulate,
         kernels.source_log_normalisation,
     )  # fmt: skip
+    if moments is not None:
+        table.moments[:] = moments
     fine = (table.norm > 1e-12) & np.isfinite(table.nodes).all(axis=(1, 2)) & np.isfinite(table.moments).all(axis=1)
     return table if fine.all() else table.rows(fine)
 

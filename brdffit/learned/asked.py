@@ -1,0 +1,57 @@
+"""What the learned methods share: what they were not trained for, their weights, bounds of what a network says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.errors import InputError
+from brdffit.options import LobeOptions
+from brdffit.svbrdf import Svbrdf
+
+#: Of the option ``weights``: those that the program ships.
+SHIPPED = "shipped"
+#: Scales are never corrected by more than this factor's log.
+MOST_FACTOR = 2.0
+
+
+def check_asked(name: str, svbrdf: Svbrdf, options: LobeOptions, models: Sequence[str]) -> list[str]:
+    """Notes on what the networks, which know lobes of these models, were not trained for.
+
+    Raises:
+        InputError: for another lobe model, or numbers that are not finite.
+    """
+    for model in (svbrdf.model, options.model):
+        if model not in models:
+            known = " and ".join(f"'{each}'" for each in models)
+            many = "models" if len(models) > 1 else "model"
+            raise InputError(f"The weights of method '{name}' are for the lobe {many} {known}, not for '{model}'.")
+    if not svbrdf.is_finite():
+        raise InputError("The SVBRDF holds numbers that are not finite; every texel must be a finite number.")
+    notes = []
+    if options.pixel_filter != "box":
+        notes.append(f"The networks of method '{name}' were trained with the box filter, not '{options.pixel_filter}'.")
+    if options.density != "cosine":
+        notes.append(f"The networks of method '{name}' were trained for cosine-distributed lights and viewers.")
+    return notes
+
+
+def bounded(tensor: NDArray, options: LobeOptions) -> NDArray:
+    """Log tensors (n, 3) with eigenvalues between the roughness floor and 1; of round lobes if these are asked for."""
+    low = 4.0 * math.log(options.min_roughness)
+    mean, half, off = 0.5 * (tensor[:, 0] + tensor[:, 1]), 0.5 * (tensor[:, 0] - tensor[:, 1]), tensor[:, 2]
+    if options.lobe == "isotropic":
+        half, off = np.zeros_like(half), np.zeros_like(off)
+    radius = np.hypot(half, off)
+    major, minor = np.clip(mean + radius, low, 0.0), np.clip(mean - radius, low, 0.0)
+    mean, shrink = 0.5 * (major + minor), 0.5 * (major - minor) / np.where(radius > 0.0, radius, 1.0)
+    return np.stack([mean + shrink * half, mean - shrink * half, shrink * off], axis=1)
+
+
+def weights_path(name: str, shipped: Path) -> Path:
+    """The file behind the option ``weights``."""
+    return shipped if name == SHIPPED else Path(name)

@@ -1,0 +1,1 @@
+"""Kernels of the learned modes: moments, tables of the objective, interpolation; an edit here compiles them anew."""
