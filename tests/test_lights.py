@@ -245,3 +245,12 @@ def test_a_light_is_taken_from_a_tensor_whatever_its_axes(turn):
         found = np.array([[moments[XX], moments[XY]], [moments[XY], moments[YY]]])
         expected = axes @ np.diag([max(wide - 0.018, 1e-4), max(narrow - 0.018, 1e-4)]) @ axes.T
         np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_a_mirror_stays_as_sharp_as_the_lights_let_it():
+    """Normals that dither within the smallest light widen no lobe, since only its tail would show it."""
+    for spread, low, high in ((0.003, 0.0, 0.7), (0.05, 2.0, 12.0)):
+        base = surface(32, spread, 0.045)
+        level = NonlinearFit().bake_lobes(base, FitOptions(lights="mixed", threads=1)).levels[1].svbrdf
+        wider = 0.5 * (level.log_roughness[..., 0] + level.log_roughness[..., 1]) - 4.0 * math.log(0.045)
+        assert low <= float(wider.mean()) <= high, (spread, float(wider.mean()))

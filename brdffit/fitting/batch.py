@@ -240,6 +240,7 @@ def make_workplace(level: LevelRules, float_width: int = 32) -> tuple[Scratch, t
         setting=np.zeros(objective.SETTINGS),
         theta=np.zeros(parameters),
         best=np.zeros(parameters),
+        average=np.zeros(parameters),
         start=np.zeros(parameters),
         starts=np.zeros((STARTS, parameters)),
         colour=np.ones(3),

@@ -32,7 +32,10 @@ class FitOptions(LobeOptions):
         names=LOSSES,
     )  # fmt: skip
     energy: float = option(0.0, "share of a light from everywhere, which sees a lobe's energy alone", least=0.0)
-    refine: bool = option(False, "fit also what a renderer interpolates between texels and levels")
+    refine: bool = option(
+        False,
+        "fit also what a renderer interpolates between texels and levels, in l2 under point lights (docs/maths.md)",
+    )
     specular: str = option(
         "auto", "scale of the lobe: fitted freely, bounded to 10% about the filtered colour, or held there",
         names=SPECULARS,

@@ -116,6 +116,7 @@ class Scratch(NamedTuple):
     setting: NDArray
     theta: NDArray
     best: NDArray
+    average: NDArray
     start: NDArray
     starts: NDArray
     colour: NDArray

@@ -22,6 +22,7 @@ from brdffit.fitting.scoring import (
     BLUE_SCALE,
     COVERAGE,
     DISAGREEMENT,
+    EVALUATIONS,
     FILTERED,
     GREEN_SCALE,
     RED_SCALE,
@@ -54,6 +55,7 @@ from brdffit.halfangle.closed_forms import (
     DEFENSIVE_SHARE,
     LEAN,
     STARTS,
+    STEEPEST_SLOPE,
     first_start,
     footprint_moments,
     light_lobes,
@@ -61,10 +63,10 @@ from brdffit.halfangle.closed_forms import (
     widen_lobes,
     widen_round_lobes,
 )
-from brdffit.halfangle.lights import BASE_BLUR, points_of, segment, values_of
+from brdffit.halfangle.lights import BASE_BLUR, evaluate_table, points_of, segment, values_of
 from brdffit.halfangle.merging import merge_lobes
 from brdffit.halfangle.objective import FREE, HELD, HOLDS, PARAMETERS
-from brdffit.halfangle.quadrature import WIDE_AXES, frame_lobes, place_nodes, weigh_nodes
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, MIXTURE, SHAPE, WIDE_AXES, frame_lobes, place_nodes, weigh_nodes
 
 real = np.float32
 
@@ -75,6 +77,9 @@ _NARROW_SPREAD = 0.002
 _HIDDEN, _LOST = 0.3, 0.6
 # Samples are many for a footprint that has so many strata more than it has.
 _FEW_STRATA = 16
+# Lobes whose alpha^2 is below so many of the smallest light's may look alike: those within a share of the error and
+# a floor. How far from the found lobe to the averaged one is tried.
+_SHARP, _ALIKE, _ALIKE_FLOOR, _NEARER = 4.0, 0.02, 3e-3, (1.0, 0.75, 0.5, 0.25)
 #: How often a lobe that was found where no nodes stand may ask for nodes of its own.
 GUARDS = 3
 
@@ -111,11 +116,14 @@ def fit_texel(
         )  # fmt: skip
         if expected <= search.allowed and within_domain(theta, search):
             return FLAT if expected <= FLAT_EXCESS else CLOSED_FORM
+    sized = lights[0, BASE_BLUR] > 0.0
+    sharp = sized and base.isotropic and search.same_model and average_of(lobes, count, scratch.average)
+    sharp = sharp and math.exp(scratch.average[2]) < _SHARP * lights[0, BASE_BLUR]
     isotropic = search.free & FREE_ANISOTROPY == 0
     lobes_isotropic = see_lobes(base, lights, count, spread, search.cell, scratch)
     count = scratch.counts[0]
     flat = footprint_moments(lobes, count, lobes_isotropic, scratch.moments)
-    if lights[0, BASE_BLUR] > 0.0:
+    if sized:
         # Starts are lobes as they are, not as a light shows them.
         take_from_tensor(scratch.moments, lights[0, BASE_BLUR], math.exp(search.log_low))
     first_start(scratch.moments, isotropic, scratch.starts)
@@ -178,6 +186,8 @@ def fit_texel(
         fall_back(scratch, rules[tier], search, values_kernel, log_normalisation)
     elif report[RESIDUAL] > BESIDE:
         status = POOR
+    elif sharp and some:
+        prefer_average(scratch, rules[tier], search, moments_kernel, values_kernel, log_normalisation)
     if not some:
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         return NO_SPECULAR
@@ -186,6 +196,50 @@ def fit_texel(
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         report[RESIDUAL] = 1.0
     return status
+
+
+@part
+def average_of(lobes, count, average):
+    """``average`` (6,) <- the mean normal and the mean log alpha^2 of lobes; returns whether it is a lobe."""
+    x, y, z, log = 0.0, 0.0, 0.0, 0.0
+    for i in range(count):
+        w = lobes[i, MIXTURE]
+        x += w * lobes[i, 0]
+        y += w * lobes[i, 1]
+        z += w * lobes[i, 2]
+        log += w * math.log(lobes[i, ALPHA_SQUARED])
+    if not z > math.sqrt(x * x + y * y) / STEEPEST_SLOPE:
+        return False
+    average[0], average[1], average[2], average[3] = -x / z, -y / z, log, log
+    average[4], average[5] = 0.0, lobes[0, SHAPE]
+    return True
+
+
+@part
+def prefer_average(scratch, table, search, moments_kernel, values_kernel, log_normalisation):
+    """Where the lights do not tell the lobe that was found from the averaged one, or from one between, take that.
+
+    Lobes much sharper than the smallest light look alike but for their tails, which go as alpha^2: a wide one glows
+    where the base is dark.
+    """
+    theta, start, setting, space = scratch.theta, scratch.start, scratch.setting, scratch.space
+    found = evaluate_table(theta, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation)
+    bound = found + _ALIKE * (1.0 + found) + _ALIKE_FLOOR
+    for k in range(len(_NEARER)):
+        for p in range(PARAMETERS):
+            start[p] = theta[p] + _NEARER[k] * (scratch.average[p] - theta[p])
+        clamp_to_domain(start, search)
+        value = evaluate_table(
+            start, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation
+        )
+        scratch.report[EVALUATIONS] += 1
+        if value <= bound:
+            for p in range(PARAMETERS):
+                theta[p] = start[p]
+            settle_scale(
+                theta, table, setting, values_kernel, log_normalisation, search.exponent, scratch.work, scratch.report
+            )
+            break
 
 
 @part
