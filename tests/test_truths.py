@@ -7,6 +7,8 @@ import pytest
 from export_support import random_svbrdf
 
 from brdffit.appearance import Truth, bilinear
+from brdffit.comparison.ask import Ask
+from brdffit.comparison.compare import compare
 from brdffit.errors import InputError
 from brdffit.models.microfacet import brdf
 from brdffit.render import lights, scenes
@@ -115,3 +117,21 @@ def test_what_a_truth_cannot_do_is_said():
         pair_errors(truth, [material()], np.array([0]), np.array([0]), terms=LOBE_ONLY)
     with pytest.raises(InputError, match="made for a base"):
         render_halves(truth, scenes.plane((8, 8), 0, (2, 2)))
+
+
+@pytest.mark.slow
+def test_a_comparison_with_another_truth():
+    """Its figures are those against the maps, if the truth is the maps; half-angle figures stay as they are."""
+    base = material()
+    ask = Ask.of(methods=["naive,lean"], quick=True, keep_level_0=True)
+    ask = Ask(**{**vars(ask), "pixels": 32, "frames": 4, "pairs": 512})
+    plain, hidden = (compare([base], ask, truth=truth)[0].sets[0] for truth in (None, lambda read: Hidden(read.svbrdf)))
+    assert any("Hidden" in note for note in hidden.notes) and not any("Hidden" in note for note in plain.notes)
+    for one, other in zip(plain.methods, hidden.methods, strict=True):
+        for k, level in enumerate(one.levels):
+            assert other.levels[k].half_angle_snr_db == level.half_angle_snr_db
+            assert other.levels[k].pair_snr_db == pytest.approx(level.pair_snr_db, abs=1.0)
+    for one, other in zip(plain.views, hidden.views, strict=True):
+        for shot, again in zip(one.shots, other.shots, strict=True):
+            if shot.figures is not None and shot.figures.snr_db < 25.0:
+                assert again.figures.snr_db == pytest.approx(shot.figures.snr_db, abs=1.5)
