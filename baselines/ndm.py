@@ -203,7 +203,9 @@ def _frames(normal: NDArray) -> NDArray:
 
 def _exponent(off: NDArray, inverse: NDArray) -> NDArray:
     """-(h - m)' C^-1 (h - m) / 2 of ``off`` = h - m (n, 3)."""
-    return -0.5 * np.einsum("ni,nij,nj->n", off, inverse, off)
+    x, y, z = off.T
+    square = x * x * inverse[:, 0, 0] + y * y * inverse[:, 1, 1] + z * z * inverse[:, 2, 2]
+    return -0.5 * square - (x * y * inverse[:, 0, 1] + y * z * inverse[:, 1, 2] + x * z * inverse[:, 0, 2])
 
 
 def _log_scale(mean: NDArray, inverse: NDArray, frame: NDArray, tensor: NDArray) -> NDArray:

@@ -14,7 +14,7 @@ from brdffit.library import thumbnail
 from brdffit.methods import Baked
 from brdffit.models import beckmann, get_model
 from brdffit.render import _packing, ball, preview
-from brdffit.render.ball import Part, lit_ball, reference_ball
+from brdffit.render.ball import Part, lit_balls, reference_balls
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf, level_sizes
 
@@ -38,8 +38,8 @@ def bumpy(size=(64, 64), slope=0.35, rough=0.15):
 
 
 def both(base, mip_level, **options):
-    level = lit_ball(averaged_pyramid(base), mip_level, BALL, **options)
-    return level.mean(axis=0), reference_ball(base, mip_level, BALL, **options).mean(axis=0)
+    level = lit_balls(averaged_pyramid(base), [mip_level], BALL, **options)[0]
+    return level.mean(axis=0), reference_balls(base, [mip_level], BALL, **options)[0].mean(axis=0)
 
 
 @pytest.mark.parametrize("mip_level", [0, 1, 3])
@@ -61,7 +61,7 @@ def test_a_matt_flat_material_of_many_colours_is_right_when_averaged():
     level, reference = both(base, 3)
     error = (reference - level)[level > 0.0]
     assert np.abs(error).mean() < 0.02 * level[level > 0.0].mean()
-    # Sixteen footprints of 160 samples each repeat over the ball.
+    # Sixteen footprints of 96 samples each repeat over the ball.
     assert abs(error.mean()) < 1e-2 * level[level > 0.0].mean()
 
 
@@ -87,9 +87,12 @@ def test_a_part_of_a_large_base_is_lit_as_the_whole_is(monkeypatch, wrap):
     whole = part._replace(size=base.size)
     for mip_level in (1, 3):
         np.testing.assert_allclose(
-            lit_ball(pyramid, mip_level, BALL, part), lit_ball(pyramid, mip_level, BALL, whole), rtol=1e-4, atol=1e-5
+            lit_balls(pyramid, [mip_level], BALL, part),
+            lit_balls(pyramid, [mip_level], BALL, whole),
+            rtol=1e-4,
+            atol=1e-5,
         )
-        one, two = (reference_ball(base, mip_level, BALL, each).mean(axis=0) for each in (part, whole))
+        one, two = (reference_balls(base, [mip_level], BALL, each)[0].mean(axis=0) for each in (part, whole))
         # The jitter of the samples is one of the footprint, so it is the same too.
         np.testing.assert_allclose(one, two, rtol=1e-4, atol=1e-5)
 
@@ -135,14 +138,14 @@ def test_an_appearance_that_is_no_pyramid_is_shown_too():
     names = ("base_size", "look_up", "evaluate", "sample", "pdf")
     other = SimpleNamespace(**{name: getattr(pyramid, name) for name in names})
     picture = preview.make_preview(base, pyramid, other, name="other", ball=BALL)
-    one, two = (lit_ball(each, 1, BALL).mean(axis=0) for each in (pyramid, other))
+    one, two = (lit_balls(each, [1], BALL)[0].mean(axis=0) for each in (pyramid, other))
     assert picture.shape[0] > 3 * BALL
     # Its lamps are discs of which few directions are drawn, not widened lobes.
     assert np.abs(one - two).mean() < 0.12 * one.mean()
 
 
 def test_figures_say_what_is_the_same():
-    halves = reference_ball(bumpy(), 3, BALL)
+    halves = reference_balls(bumpy(), [3], BALL)[0]
     shown = np.clip(halves.mean(axis=0), 0.0, 1.0)
     assert preview._figures(halves, halves[::-1], shown, shown)[1] == "displayed 0.0% off, FLIP 0.000"
 
@@ -171,7 +174,7 @@ def test_memory_does_not_grow_with_the_base():
         base = Svbrdf(**{name: np.broadcast_to(array, (*size, 3)) for name, array in arrays.items()})
         assert level_sizes(size)[5] == (size[0] // 32, size[1] // 32)
         tracemalloc.start()
-        reference_ball(base, 5, 16, threads=1)
+        reference_balls(base, [5], 16, threads=1)
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         return most

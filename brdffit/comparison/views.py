@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -280,7 +279,7 @@ def _rotation_view(base: Svbrdf | Truth, pyramids: Drawn, studio: Studio, near: 
         for column in range(_COLUMNS)
         for i in range(studio.frames)
     ]
-    taken = _take(base, pyramids, _side_by_side(parts), lit, studio).pictures()
+    taken = _take(base, pyramids, scenes.side_by_side(parts), lit, studio).pictures()
     # (frames, columns, pixels, 3)
     shape = (studio.pixels, _COLUMNS, studio.frames, 3)
     frames = {name: picture.reshape(shape).transpose(2, 1, 0, 3) for name, picture in taken.items()}
@@ -293,13 +292,6 @@ def _rotation_view(base: Svbrdf | Truth, pyramids: Drawn, studio: Studio, near: 
         shots=_moving_shots(frames),
     )  # fmt: skip
     return view, _displayed(shown, exposure)
-
-
-def _side_by_side(parts: Sequence[Scene]) -> Scene:
-    """One scene of several: one call renders all, and the reference shades what they share once."""
-    arrays = ("centre", "axes", "view", "frame", "coverage")
-    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in arrays}
-    return dataclasses.replace(parts[0], **joined)
 
 
 def _moving_shots(frames: Mapping[str, NDArray]) -> list[Shot]:

@@ -9,7 +9,7 @@ from brdffit.methods import Baked, Material
 from brdffit.options import LobeOptions
 from brdffit.pipeline import averaged_levels
 from brdffit.render import metrics
-from brdffit.render.ball import Part, lit_ball, over_background
+from brdffit.render.ball import Part, lit_balls, over_background
 from brdffit.svbrdf import Svbrdf
 
 #: Diameter of a ball in pixels, the level that it shows where there are so many, and the room between two.
@@ -28,10 +28,10 @@ def make_thumbnail(base: Svbrdf, baked: Baked) -> NDArray:
     part = Part.of(base.size, mip_level)
     shown = part.crop(base, 0, base.size)
     options = LobeOptions(pixel_filter=baked.options.pixel_filter, levels=mip_level + 1, model=base.model)
-    before = lit_ball(
-        averaged_levels(Material(shown), options), mip_level, BALL, part._replace(size=shown.size), threads=1
+    before = lit_balls(
+        averaged_levels(Material(shown), options), [mip_level], BALL, part._replace(size=shown.size), threads=1
     )
-    balls = [each.mean(axis=0) for each in (before, lit_ball(baked.appearance, mip_level, BALL, part, threads=1))]
+    balls = [each[0].mean(axis=0) for each in (before, lit_balls(baked.appearance, [mip_level], BALL, part, threads=1))]
     exposure = _KEY / max(float(np.mean(balls)), 1e-6)
     picture = np.empty((BALL, 2 * BALL + _GAP, 3), np.float32)
     picture[:] = metrics.tone_map(_BACKGROUND / exposure, exposure)

@@ -123,9 +123,8 @@ def strata_rule(pixel_filter: PixelFilter, across: int, down: int) -> Rule:
 
 
 def pieces(starts: NDArray, part: slice) -> list[slice]:
-    """Cut a run of footprints into pieces of about equally many pixels."""
-    pixels = int(starts[part.stop] - starts[part.start])
-    step = max(1, min(PIXELS_PER_PIECE, math.ceil(pixels / _LEAST_PIECES)))
+    """Cut a run of footprints into pieces of about equally many pixels, at most 1 / `_LEAST_PIECES` of them all."""
+    step = max(1, min(PIXELS_PER_PIECE, math.ceil(int(starts[-1]) / _LEAST_PIECES)))
     cuts = np.searchsorted(starts, np.arange(starts[part.start], starts[part.stop], step), side="left")
     bounds = np.unique(np.clip(np.append(cuts, part.stop), part.start, part.stop))
     return [slice(int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from brdffit.appearance import LobePyramid
 from brdffit.render import scenes
+from brdffit.render._footprints import Budget
 from brdffit.render.lights import Lights
 from brdffit.render.pictures import Drawable, appearance_of, render_appearance_halves
 from brdffit.render.reference import render_halves
@@ -23,8 +25,8 @@ from brdffit.svbrdf import Svbrdf
 
 #: Base texels along a side that a ball shows; of a larger base a part is looked at, whatever its size.
 MOST_TEXELS = 1024
-#: Samples of a footprint in the reference: for each base texel, and at least and at most.
-_PER_TEXEL, _SAMPLES = 12, (48, 160)
+#: Samples of a footprint in the reference: at least, for each base texel, at most.
+_SAMPLES = Budget(48, 12, 96)
 #: Directions to light of an appearance that is drawn in numpy: enough for a glance, and some noise.
 _DIRECTIONS = 16
 
@@ -74,37 +76,47 @@ class Part(NamedTuple):
         arrays = {name: array[:height, :width] for name, array in level.arrays().items()}
         return level.replace(**arrays, wrap="clamp")
 
-    def scene(self, base_size: tuple[int, int], mip_level: int, diameter: int) -> Scene:
-        """The ball at a level; where it shows more than the part, the part repeats."""
-        scene = scenes.sphere(base_size, mip_level, (diameter, diameter))
+    def scene(self, base_size: tuple[int, int], levels: Sequence[int], diameter: int) -> Scene:
+        """A ball for each level, side by side; where one shows more than the part, the part repeats."""
+        scene = scenes.side_by_side([scenes.sphere(base_size, level, (diameter, diameter)) for level in levels])
         # Positions of whole pixels: a remainder must not turn 1024 - 1e-13 into another texel.
         centre = self.first + np.round(scene.centre, 9) % np.array(self.extent[::-1], np.float64)
         return dataclasses.replace(scene, centre=centre)
 
 
-def lit_ball(drawn: Drawable, mip_level: int, diameter: int, part: Part | None = None, *,
-             threads: int | None = None) -> NDArray:  # fmt: skip
-    """Two estimates (2, n, n, 3) float32 of the linear radiance of a ball that shows a level of an appearance."""
+def lit_balls(
+    drawn: Drawable, levels: Sequence[int], diameter: int, part: Part | None = None, *, threads: int | None = None
+) -> NDArray:
+    """Balls that show some levels of an appearance: (levels, 2, n, n, 3) float32, two estimates of linear radiance."""
     appearance = appearance_of(drawn)
     size = appearance.base_size
-    part = part or Part.of(size, mip_level)
+    part = part or Part.of(size, max(levels))
     lamps = "sampled"
     if isinstance(appearance, LobePyramid):
-        levels = appearance.levels[: mip_level + 1]
-        appearance = LobePyramid([part.crop(level, k, size) for k, level in enumerate(levels)])
-        lamps = "widened"
-    scene = part.scene(appearance.base_size, mip_level, diameter)
-    return render_appearance_halves(appearance, scene, studio(), lamps=lamps, directions=_DIRECTIONS, threads=threads)
+        cropped = [part.crop(level, k, size) for k, level in enumerate(appearance.levels[: max(levels) + 1])]
+        appearance, lamps = LobePyramid(cropped), "widened"
+    scene = part.scene(appearance.base_size, levels, diameter)
+    halves = render_appearance_halves(
+        appearance, scene, studio(), lamps=lamps, directions=_DIRECTIONS, threads=threads
+    )  # fmt: skip
+    return _apart(halves, diameter)
 
 
-def reference_ball(base: Svbrdf, mip_level: int, diameter: int, part: Part | None = None, *,
-                   threads: int | None = None) -> NDArray:  # fmt: skip
+def reference_balls(
+    base: Svbrdf, levels: Sequence[int], diameter: int, part: Part | None = None, *, threads: int | None = None
+) -> NDArray:
     """The same by the reference: each pixel the mean of what the base reflects in its footprint."""
-    part = part or Part.of(base.size, mip_level)
-    scene = part.scene(part.size, mip_level, diameter)
-    samples = int(np.clip(_PER_TEXEL * 4**mip_level, *_SAMPLES))
+    part = part or Part.of(base.size, max(levels))
+    scene = part.scene(part.size, levels, diameter)
     cropped = part.crop(base, 0, base.size)
-    return render_halves(cropped, scene, studio(), lamps="widened", samples=samples, threads=threads).halves
+    return _apart(
+        render_halves(cropped, scene, studio(), lamps="widened", samples=_SAMPLES, threads=threads).halves, diameter
+    )
+
+
+def _apart(halves: NDArray, diameter: int) -> NDArray:
+    """(levels, 2, n, n, 3) of balls side by side, (2, n, levels n, 3)."""
+    return halves.reshape(2, diameter, -1, diameter, 3).transpose(2, 0, 1, 3, 4)
 
 
 def over_background(radiance: NDArray, background: NDArray) -> NDArray:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from brdffit.appearance import Appearance, LobePyramid, Lookups
 from brdffit.errors import InputError
 from brdffit.methods import Pyramid
-from brdffit.render._environment_kernels import LIGHT_X, LIGHT_Z
+from brdffit.render._environment_kernels import LIGHT_X
 from brdffit.render._footprints import PIXELS_PER_PIECE, run_in_threads
 from brdffit.render._packing import environment_pyramid_loop, pack_levels, pyramid_loop
 from brdffit.render.environment import Environment
@@ -149,6 +149,7 @@ def _draw(
     axes = scene.axes[pixels.rows, pixels.columns]
     lookups = Lookups(pixels.centre, np.ascontiguousarray(axes, np.float64), detail, pixels.view)
     found = np.zeros((2, len(detail), 3))
+    discs = lit.discs
 
     def work(part: slice) -> int:
         view, frame = pixels.view[part], pixels.frame[part]
@@ -156,7 +157,7 @@ def _draw(
         for radius, lights in () if lit.lights is None else lit.lights.by_radius():
             if radius == 0.0:
                 found[:, part] += _under_points(seen, frame, lights)
-        sized: list[tuple[Lights | Environment, NDArray]] = [(lit.discs, frame)] if lit.discs is not None else []
+        sized: list[tuple[Lights | Environment, NDArray]] = [(discs, frame)] if discs is not None else []
         if lit.environment is not None:
             sized.append((lit.environment, lit.environment.turned(frame)))
         for number, (light, turned) in enumerate(sized):
@@ -199,16 +200,17 @@ def _sampled(
     found = np.zeros((len(frame), 3))
     count = len(frame)
     # Any run of the table is well spread; each pixel reads another.
-    towards = light.table[LIGHT_X : LIGHT_Z + 1].T.astype(np.float64)
-    run = random.integers(len(towards), size=count)
+    table = light.table.T.astype(np.float64)
+    run = random.integers(len(table), size=count)
     # Jittered along the first number, so that a pixel's directions are spread over the lobe.
     u = random.random((directions, count, 2))
     u[..., 0] = (u[..., 0] + np.argsort(random.random(u.shape[:2]), axis=0)) / directions
     for i in range(directions):
-        of_light = np.einsum("nij,nj->ni", frame, towards[(run + i) % len(towards)])
+        of_light = table[(run + i) % len(table), LIGHT_X:]
+        towards = np.einsum("nij,nj->ni", frame, of_light[:, :3])
         of_lobe = np.asarray(seen.appearance.sample(seen.texels, seen.view, u[i]), np.float64)
-        for direction in (of_light, of_lobe):
-            radiance, density = light.look_up(np.einsum("nji,nj->ni", frame, direction))
+        looked_up = light.look_up(np.einsum("nji,nj->ni", frame, of_lobe))
+        for direction, radiance, density in ((towards, of_light[:, 3:6], of_light[:, 6]), (of_lobe, *looked_up)):
             density = density + seen.appearance.pdf(seen.texels, seen.view, direction)
             found += seen.reflected(direction) * radiance / np.maximum(density, 1e-20)[:, None]
     return found / directions

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from brdffit.render import metrics
-from brdffit.render.ball import Part, lit_ball, over_background, reference_ball
+from brdffit.render.ball import Part, lit_balls, over_background, reference_balls
 from brdffit.render.pictures import Drawable, appearance_of
 from brdffit.svbrdf import Svbrdf, level_sizes
 
@@ -69,17 +69,9 @@ def make_preview(
     depth = min(_depth(each, base.size) for each in (before, after))
     shown = [level for level in levels if level < depth] or [depth - 1]
     part = Part.of(base.size, max(shown))
-    rows = [
-        _Row(
-            level,
-            [
-                lit_ball(before, level, ball, part, threads=threads),
-                lit_ball(after, level, ball, part, threads=threads),
-                reference_ball(base, level, ball, part, threads=threads),
-            ],
-        )
-        for level in shown
-    ]
+    columns = [lit_balls(each, shown, ball, part, threads=threads) for each in (before, after)]
+    columns.append(reference_balls(base, shown, ball, part, threads=threads))
+    rows = [_Row(level, [column[k] for column in columns]) for k, level in enumerate(shown)]
     mean = float(np.mean([row.balls[2].mean() for row in rows])) * 4.0 / np.pi
     return _compose(rows, _KEY / max(mean, 1e-6), ("averaged", _heading(name), "reference"), title)
 

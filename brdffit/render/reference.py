@@ -50,7 +50,7 @@ from brdffit.render.scenes import Scene
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
 
-__all__ = ["SAMPLES", "Progress", "Reference", "pair_errors", "render_halves", "render_reference"]
+__all__ = ["SAMPLES", "Budget", "Progress", "Reference", "pair_errors", "render_halves", "render_reference"]
 
 
 class Samples(NamedTuple):
@@ -114,7 +114,7 @@ def render_reference(
     terms: Terms = Terms(),  # noqa: B008
     lamps: str = "sampled",
     pixel_filter: str = "box",
-    samples: int | str | None = None,
+    samples: int | str | Budget | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> NDArray:
@@ -134,7 +134,7 @@ def render_halves(
     terms: Terms = Terms(),  # noqa: B008
     lamps: str = "sampled",
     pixel_filter: str = "box",
-    samples: int | str | None = None,
+    samples: int | str | Budget | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Reference:
@@ -151,7 +151,7 @@ def render_halves(
             under lobes as much wider: a tenth of the time, and close enough for a glance (of an SVBRDF).
         pixel_filter: "box", "gaussian" or "mitchell", in pixels; the scene carries it to the texture.
         samples: of a footprint: a preset's name ("draft", "standard", "fine"; None takes "standard"), see ``Samples``,
-            or their number.
+            their number, or a ``Budget`` (least, for each base texel of its area, most).
         threads: worker threads; None takes one a core. The picture does not depend on it.
         progress: called with (pixels done, pixels).
 
@@ -171,6 +171,8 @@ def render_halves(
     least = least if lit.sampled else 1
     if isinstance(samples, int):
         budget = Budget.of(max(samples, least))
+    elif isinstance(samples, Budget):
+        budget = samples.times(1.0, least)
     else:
         preset = SAMPLES[one_of("number of samples", samples or "standard", tuple(SAMPLES))]
         budget = preset.budget.times(1.0, least)

@@ -6,8 +6,11 @@ i is centred on i + 1/2. Rows run down and the tangent space's y runs up, as in 
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +162,13 @@ def sphere(
         frame=(frame @ _turn_z(rotation)).astype(np.float32),
         coverage=np.clip((1.0 - distance) * radius + 0.5, 0.0, 1.0).astype(np.float32),
     )
+
+
+def side_by_side(parts: Sequence[Scene]) -> Scene:
+    """One scene of several of one height: one call renders all, and the reference shades what they share once."""
+    arrays = ("centre", "axes", "view", "frame", "coverage")
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in arrays}
+    return dataclasses.replace(parts[0], **joined)
 
 
 def level_of_detail(scene: Scene) -> NDArray:
