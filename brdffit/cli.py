@@ -112,7 +112,8 @@ def bake(
 
 
 #: Options of a bake that stand for every set of a library.
-_SHARED = [each for each in bake.params if each.name in ("preset", "quality", "method", "bits", "assigned")]
+_OF_BAKES = ("preset", "quality", "method", "bits", "compress", "assigned")
+_SHARED = [each for each in bake.params if each.name in _OF_BAKES]
 _SHARED += [each for each in bake.params if each.name in READING_OPTIONS and each.name != "roles"]
 
 

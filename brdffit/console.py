@@ -99,7 +99,7 @@ def print_report(report: BakeReport) -> None:
         )
     console = _console()
     console.print(table)
-    _print_list(console, report.notes)
+    _print_list(console, [*report.notes, *filter(None, [report.manifest["preset"]["note"]])])
     console.print(", ".join(f"{_PHASES.get(name, name)} {seconds:.1f} s" for name, seconds in report.seconds.items()))
     preview = report.folder / "preview.png"
     console.print(f"{report.folder}" + (f" (see {preview})" if preview.exists() else ""))

@@ -19,20 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
-from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.status import FALLBACK, ITERATION_LIMIT, STATUS_NAMES
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.measure import random_texels, snr
-from brdffit.methods import Material
+from brdffit.methods import DEFAULT, get_method
 from brdffit.models import get_model
 from brdffit.options import make_options
+from brdffit.pipeline import read_set
 from brdffit.roughness import eigenvalues_of_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures import encoding
-from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.reading import read_texture_set
 from brdffit.textures.relief import moved_by_noise
 from brdffit.textures.texture_set import TextureSet
 
@@ -147,19 +145,15 @@ def diagnose(
     asked = make_options(FitOptions, {**record["options"], **options} if record else options, "'bfgs'")
     tell = phase or (lambda name: None)
     tell("reading")
-    texture_set = None
-    if isinstance(source, Svbrdf):
-        svbrdf = source
-    else:
-        texture_set = source if isinstance(source, TextureSet) else read_texture_set(source, **(reading or {}))
-        svbrdf = to_svbrdf(texture_set, min_roughness=asked.min_roughness)
+    read = read_set(source, reading or {}, asked)
+    texture_set, svbrdf = read.texture_set, read.material.svbrdf
     if not svbrdf.is_finite():
         raise InputError("The SVBRDF holds numbers that are not finite; every texel must be a finite number.")
     height, width = svbrdf.size
     diagnosis = Diagnosis(
-        name=texture_set.name if texture_set else "svbrdf", width=width, height=height,
+        name=read.name, width=width, height=height,
         options={name: getattr(asked, name) for name in ("model", "quality", "pixel_filter", "specular", "lobe")},
-        notes=list(texture_set.notes) if texture_set else [],
+        notes=read.notes,
     )  # fmt: skip
     if texture_set is not None and "normal" in texture_set.maps:
         diagnosis.findings += _stored_normals(texture_set, svbrdf)
@@ -171,7 +165,7 @@ def diagnose(
         )
     base = base_of(svbrdf, get_model(svbrdf.model).default_shape)
     tell("compiling")
-    NonlinearFit().prepare(Material(svbrdf), asked)
+    get_method(DEFAULT).prepare(read.material, asked)
     tell("looking")
     for finding in diagnosis.findings:
         if finding.worst:

@@ -26,7 +26,7 @@ def keys(root, **more):
 def maps_of(found, **reading):
     """File and channel by role, as a worker would read them."""
     settings = {"roles": None, "normal_y": "gl", "wrap": "tile", "height_scale": None, "denoise_normals": False}
-    task = Task(found, "", settings | reading, "naive", "plain", 8, {}, "")
+    task = Task(found, "", settings | reading, "naive", "plain", 8, "good", {}, "")
     return {role: named.path.name + named.channel for role, named in open_set(task).maps.items()}
 
 

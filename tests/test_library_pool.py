@@ -23,7 +23,7 @@ ROOT = Path(__file__).parent.parent
 
 
 def job(index, texels):
-    task = Task(Found(f"set{index:03}", Path("set")), "", {}, "naive", "plain", 8, {}, "")
+    task = Task(Found(f"set{index:03}", Path("set")), "", {}, "naive", "plain", 8, "good", {}, "")
     return Job(task, texels)
 
 

@@ -12,8 +12,8 @@
     quality = "fine"
 
 Patterns are those of ``fnmatch`` on a set's place below the root (``*`` crosses slashes). Of several entries that
-match, later ones win; the command line wins over all. Beside method, preset, bits and how a set is read, all options of
-methods may stand there (``brdffit methods NAME``); each is for the sets whose method has it.
+match, later ones win; the command line wins over all. Beside method, preset, bits, compress and how a set is read, all
+options of methods may stand there (``brdffit methods NAME``); each is for the sets whose method has it.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ class Common(Struct, forbid_unknown_fields=True, frozen=True):
     method: str | None = None
     preset: str | None = None
     bits: Literal[8, 16] | None = None
+    compress: Literal["fast", "good", "best"] | None = None
     wrap: Literal["tile", "clamp"] | None = None
     normal_y: Literal["gl", "dx"] | None = None
     height_scale: Annotated[float, Meta(gt=0.0)] | None = None
@@ -161,6 +162,9 @@ def split_options(said: Mapping[str, Any]) -> dict[str, Any]:
     reading = {name: said.pop(name, None) for name in READING_OPTIONS}
     reading["denoise_normals"] = bool(reading["denoise_normals"])
     method, preset, bits = said.pop("method", DEFAULT), said.pop("preset", "plain"), int(said.pop("bits", 8))
+    compress = said.pop("compress", "good")
     options = known_options(get_method(method).options, said)
     bake_options(get_method(method), preset, options)
-    return {"reading": reading, "method": method, "preset": preset, "bits": bits, "options": options}
+    return {
+        "reading": reading, "method": method, "preset": preset, "bits": bits, "compress": compress, "options": options
+    }  # fmt: skip

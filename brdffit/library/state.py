@@ -86,6 +86,7 @@ def build_request(task: Task, options: BakeOptions, digests: Mapping[str, str]) 
         "method": task.method,
         "preset": task.preset,
         "bits": task.bits,
+        "compress": task.compress,
         "options": resolved,
         "grouped": task.found.files is not None,
         "files": dict(sorted(digests.items())),

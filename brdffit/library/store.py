@@ -117,12 +117,12 @@ class _Folder:
     @contextlib.contextmanager
     def writing(self, task: Task, size: tuple[int, int]) -> Iterator[Write]:
         folder = self.root / task.key
-        export.check_writable(folder, size)
+        export.check_writable(folder, size, task.preset, task.bits)
 
         def write(baked: Baked, manifest: Manifest, picture: Picture) -> dict[str, Any]:
             return export.write_baked(
-                baked, folder, name=task.found.name, preset=task.preset, bits=task.bits, manifest=manifest,
-                preview=picture,
+                baked, folder, name=task.found.name, preset=task.preset, bits=task.bits,
+                compress=task.compress, manifest=manifest, preview=picture,
             )  # fmt: skip
 
         yield write
@@ -212,12 +212,12 @@ class _Remote:
     @contextlib.contextmanager
     def writing(self, task: Task, size: tuple[int, int]) -> Iterator[Write]:
         with tempfile.TemporaryDirectory(prefix="brdffit-") as here:
-            export.check_writable(Path(here) / "set", size)
+            export.check_writable(Path(here) / "set", size, task.preset, task.bits)
 
             def write(baked: Baked, manifest: Manifest, picture: Picture) -> dict[str, Any]:
                 written = export.write_baked(
                     baked, Path(here) / "set", name=task.found.name, preset=task.preset, bits=task.bits,
-                    manifest=manifest, preview=picture,
+                    compress=task.compress, manifest=manifest, preview=picture,
                 )  # fmt: skip
                 target = f"{self.root}/{task.key}"
                 try:

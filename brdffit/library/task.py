@@ -44,7 +44,7 @@ class Task:
         found: the set.
         output: root of the library's output: a folder, or an address that fsspec knows.
         reading: arguments of ``read_texture_set``, those of ``textures.READING_OPTIONS``.
-        method, preset, bits: as in ``brdffit.pipeline.bake_to_folder``.
+        method, preset, bits, compress: as in ``brdffit.pipeline.bake_to_folder``.
         options: fields of ``BakeOptions`` that differ from its defaults.
         code: digest of the sources that are to bake it, see ``state.code_digest``.
     """
@@ -55,6 +55,7 @@ class Task:
     method: str
     preset: str
     bits: int
+    compress: str
     options: dict[str, Any]
     code: str
 

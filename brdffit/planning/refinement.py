@@ -9,8 +9,8 @@ import time
 
 import numpy as np
 
-from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.options import FitOptions
+from brdffit.methods import DEFAULT, Material, get_method
 from brdffit.planning.trial import UNSEEN, Loss
 from brdffit.render.lights import Lights
 from brdffit.render.pictures import render_appearance
@@ -48,9 +48,9 @@ def try_refinement(
                 options, refine=refine, tolerance=None, levels=level + 2, reach=(level, level + 1), keep_level_0=False
             )
             start = time.process_time()
-            pyramid = NonlinearFit().bake_lobes(crop, asked)
+            baked = get_method(DEFAULT).bake(Material(crop), asked)
             took.append((time.process_time() - start) / (options.threads or os.cpu_count() or 1))
-            picture = render_appearance(pyramid, scene, lights).astype(np.float64)
+            picture = render_appearance(baked.appearance, scene, lights).astype(np.float64)
             error.append(float(np.sum((picture - truth[0]) * (picture - truth[1]))))
         square = max(float(np.sum(truth[0] * truth[1])), 1e-30)
         with_it, without = (max(each / square, 0.0) + UNSEEN for each in error)

@@ -16,9 +16,8 @@ from brdffit.pipeline import BakeReport, ProgressListener, bake_to_folder
 from brdffit.planning.description import PROCEDURAL, SceneFile
 from brdffit.planning.lighting import lights_of
 from brdffit.planning.plan import Plan, SurfacePlan
-from brdffit.planning.surface import SurfaceWork, Tell
+from brdffit.planning.surface import SurfaceWork, Tell, texture_set_of
 from brdffit.render.terms import Terms
-from brdffit.textures.reading import read_texture_set
 from brdffit.textures.texture_set import TextureSet
 
 
@@ -84,7 +83,7 @@ def comparisons(
     for surface, planned in zip(scene.surfaces, plan.surfaces, strict=True):
         lit = [SMALL_LIGHTS] if scene.lights else []
         usual = Ask.of(methods=methods, quick=quick, threads=threads)
-        sources.append(read_texture_set(surface.set, **surface.reading()))
+        sources.append(texture_set_of(surface))
         asks.append(
             dataclasses.replace(
                 usual,

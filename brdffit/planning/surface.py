@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import msgspec
 
-from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.options import FitOptions
-from brdffit.methods import Baked, Material
+from brdffit.methods import DEFAULT, Baked, Material, get_method
 from brdffit.options import changed_options
+from brdffit.pipeline import open_set, read_set
 from brdffit.planning.description import SceneFile, Surface
 from brdffit.planning.effects import BY_NAME, Setup, setup
 from brdffit.planning.facts import Fact, settled
@@ -37,8 +37,6 @@ from brdffit.planning.traced import OFF, seconds_a_picture, traced_losses, what_
 from brdffit.planning.trial import Errors, Loss, Sample, Shining, loss, snr_db
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf, level_sizes
-from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.reading import read_texture_set
 from brdffit.textures.texture_set import TextureSet
 
 #: Of the budget, what each texel's own shortcuts may take.
@@ -54,6 +52,13 @@ class _Tried(NamedTuple):
     costs: dict[str, float]
 
 
+def texture_set_of(surface: Surface) -> TextureSet:
+    """The texture set that a scene file names, its pixels unread."""
+    found = open_set(surface.set, surface.reading())
+    assert found is not None  # a path is no array
+    return found
+
+
 class SurfaceWork:
     """One surface of a scene.
 
@@ -65,7 +70,7 @@ class SurfaceWork:
 
     def __init__(self, scene: SceneFile, surface: Surface, seed: int, threads: int | None = None) -> None:
         self.scene, self.surface, self.seed, self.threads = scene, surface, seed, threads
-        self.texture_set: TextureSet = read_texture_set(surface.set, **surface.reading())
+        self.texture_set: TextureSet = texture_set_of(surface)
         self.asked = {name: scene.switch(name) for name in BY_NAME}
         self.sizes = light_sizes(scene, surface)
 
@@ -76,10 +81,10 @@ class SurfaceWork:
             InputError: for a set that cannot be used.
         """
         tell(f"{self.surface.name}: reading")
-        base = to_svbrdf(self.texture_set)
+        base = read_set(self.texture_set, {}, FitOptions()).material.svbrdf
         seen = reached_levels(self.scene, self.surface, base.size)
         facts = settled(self.scene, base, (seen.first, seen.last))
-        NonlinearFit().prepare(Material(base), FitOptions(model=self.scene.model))
+        get_method(DEFAULT).prepare(Material(base), FitOptions(model=self.scene.model))
         sample = self._sample(base, seen)
         everything = self._everything(facts)
         on = sample.versions(self._setup(seen, everything))
@@ -115,7 +120,7 @@ class SurfaceWork:
 
     def outcome(self, planned: SurfacePlan, baked: Baked, seconds: float) -> tuple[Outcome, Loss]:
         """What became of a plan, on texels of this seed: seconds and SNR, and what is lost against everything on."""
-        base = to_svbrdf(self.texture_set)
+        base = read_set(self.texture_set, {}, FitOptions()).material.svbrdf
         seen = reached_levels(self.scene, self.surface, base.size)
         sample = self._sample(base, seen)
         everything = self._everything(settled(self.scene, base, planned.reach))

@@ -13,9 +13,8 @@ from rich.table import Table
 from brdffit.files.atomic import check_writable, first_other, replacing
 from brdffit.halfangle.measure import PERFECT_DB
 from brdffit.machine import machine
-from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
-from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.reading import read_texture_set
+from brdffit.options import BakeOptions
+from brdffit.pipeline import read_set
 from brdffit.tradeoff.drawing import draw
 from brdffit.tradeoff.front import choices
 from brdffit.tradeoff.record import Tradeoff
@@ -35,8 +34,8 @@ def run(sources: Sequence[str], output: Path, quick: bool, command: str) -> Trad
     size, console, began = QUICK if quick else Size(), Console(stderr=True), time.perf_counter()
     bases = []
     for source in sources:
-        texture_set = read_texture_set(source)
-        bases.append((texture_set.name, to_svbrdf(texture_set, min_roughness=DEFAULT_MIN_ROUGHNESS)))
+        read = read_set(source, {}, BakeOptions())
+        bases.append((read.name, read.material.svbrdf))
     points, solvers = [], []
     with console.status("starting") as status:
         for name, svbrdf in bases:
