@@ -61,7 +61,7 @@ def test_a_matt_flat_material_of_many_colours_is_right_when_averaged():
     level, reference = both(base, 3)
     error = (reference - level)[level > 0.0]
     assert np.abs(error).mean() < 0.02 * level[level > 0.0].mean()
-    # Sixteen footprints of 96 samples each repeat over the ball.
+    # Sixteen footprints of 128 samples each repeat over the ball.
     assert abs(error.mean()) < 1e-2 * level[level > 0.0].mean()
 
 

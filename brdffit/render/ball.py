@@ -26,7 +26,7 @@ from brdffit.svbrdf import Svbrdf
 #: Base texels along a side that a ball shows; of a larger base a part is looked at, whatever its size.
 MOST_TEXELS = 1024
 #: Samples of a footprint in the reference: at least, for each base texel, at most.
-_SAMPLES = Budget(48, 12, 96)
+_SAMPLES = Budget(48, 12, 128)
 #: Directions to light of an appearance that is drawn in numpy: enough for a glance, and some noise.
 _DIRECTIONS = 16
 
