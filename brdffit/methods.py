@@ -221,6 +221,10 @@ class LobeMethod:
     def prepare(self, material: Material, options: Any) -> None:
         """Nothing is to be prepared, unless a subclass says otherwise."""
 
+    def trained(self, options: Any) -> str:
+        """A sentence on the training that its bakes stand on, told beside their time; empty where there was none."""
+        return ""
+
     def bake(self, material: Material, options: Any, progress: Progress | None = None) -> Baked:
         """Bake a material, see ``Method``."""
         weighted = material.svbrdf.weighted()

@@ -419,6 +419,9 @@ class TestMethods:
         assert len(meta["held_out_sets"]) >= 4
         assert not set(meta["held_out_sets"]) & set(meta["training_sets"])
         assert meta["steps"] >= 1000 and len(meta["digest"]) == 64
+        method = {"learned": Learned, "latent": Latent, "mipnet": Mipnet}[name]()
+        told = method.trained(method.options())
+        assert f"on 17 sets ({meta['steps']} steps)" in told and "ice-002" in told
 
 
 def test_the_shipped_network_beats_its_closed_form():

@@ -14,7 +14,7 @@ from report_support import PICTURE_SNR, comparison
 
 from brdffit.errors import InputError, OutputError
 from brdffit.files.image_io import write_png
-from brdffit.report import page, plots, records, summary
+from brdffit.report import histograms, page, plots, records, summary
 from brdffit.report.writing import check_report_folder, read_report, write_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -128,6 +128,19 @@ def test_differences_are_those_of_each_set_and_lighting(made):
     expected = [PICTURE_SNR[name, "bfgs"][1] - PICTURE_SNR[name, "naive"][1] for name in ("alpha", "beta </script>")]
     assert sorted(found["mid"]) == sorted(2 * expected)
     assert len(summary.differences(made[0], "height")["near"]) == 2
+    turned = summary.differences(made[0], "bfgs", "naive")
+    assert turned == {distance: [-value for value in values] for distance, values in found.items()}
+
+
+def test_each_learned_method_has_a_histogram_of_its_own(made):
+    assert len(histograms.all_histograms(made[0])) == 1
+    infos = [msgspec.structs.replace(info, name="latent" if info.name == "naive" else info.name)
+             for info in made[0].methods]  # fmt: skip
+    sets = msgspec.json.decode(
+        msgspec.json.encode(made[0].sets).replace(b'"naive"', b'"latent"'), type=list[records.SetResult]
+    )
+    both = histograms.all_histograms(msgspec.structs.replace(made[0], methods=infos, sets=sets))
+    assert len(both) == 2 and "bfgs less latent" in both[0] and "latent less bfgs" in both[1]
 
 
 class References(HTMLParser):

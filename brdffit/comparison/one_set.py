@@ -20,7 +20,7 @@ from brdffit.fitting.batch import model_kernels
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import Measured, measure, random_texels, snr
-from brdffit.methods import DEFAULT, Baked, Material
+from brdffit.methods import DEFAULT, Baked, LobeMethod, Material
 from brdffit.pipeline import Phases, ReadSet, read_set, run
 from brdffit.render import metrics, scenes
 from brdffit.render.pairs import pair_errors
@@ -109,7 +109,7 @@ class SetWork:
                 method=name,
                 seconds=seconds[name],
                 maps=maps.get(name, ""),
-                notes=baked[name].notes + ([] if name in pyramids else [_NO_LOBES]),
+                notes=baked[name].notes + self._trained(name) + ([] if name in pyramids else [_NO_LOBES]),
                 levels=[
                     self._level(k, size, half_angle[k].get(name), pairs[k].get(name))
                     for k, size in enumerate(sizes)
@@ -170,6 +170,12 @@ class SetWork:
             reasons = " ".join(each.reason for each in self.skipped)
             raise InputError(f"No method can bake '{self.name}': {reasons}")
         return baked, seconds
+
+    def _trained(self, name: str) -> list[str]:
+        """What a method says of its training, which is no part of its seconds."""
+        method, options = variant(name, self.ask.options)
+        said = method.trained(options) if isinstance(method, LobeMethod) else ""
+        return [said] if said else []
 
     def _kept(self, levels: Sequence[Svbrdf], fit: str) -> Pyramids:
         """The fit with level 0 as authored, where that is another level 0."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,3 +56,19 @@ def bounded(tensor: NDArray, options: LobeOptions) -> NDArray:
 def weights_path(name: str, shipped: Path) -> Path:
     """The file behind the option ``weights``."""
     return shipped if name == SHIPPED else Path(name)
+
+
+def told_of(meta: Mapping[str, Any]) -> str:
+    """How weights were made: a sentence of their meta."""
+    sets, seconds = len(meta.get("training_sets", ())), float(meta.get("seconds", 0.0))
+    took = f"{seconds / 60.0:.0f} min" if seconds >= 120.0 else f"{seconds:.0f} s"
+    return (
+        f"Trained before, for {took} on {sets} sets ({meta.get('steps')} steps); this is no part of its seconds. "
+        f"Never trained on: {', '.join(meta.get('held_out_sets', ())) or 'none held out'}."
+    )
+
+
+def tiny_base() -> Svbrdf:
+    """A base to compile for, of a size that does not halve, so that footprints are gathered too."""
+    flat = np.zeros((3, 3, 3), np.float32)
+    return Svbrdf(flat + np.array([0, 0, 1], np.float32), flat - 1.0, flat + 0.5, flat + 0.5)

@@ -16,7 +16,7 @@ from brdffit.fitting.status import KEPT
 from brdffit.footprint import get_pixel_filter, iter_pyramid
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.learned import asked
-from brdffit.learned.asked import MOST_FACTOR, bounded, check_asked, weights_path
+from brdffit.learned.asked import MOST_FACTOR, bounded, check_asked, tiny_base, told_of, weights_path
 from brdffit.learned.kernels.gathering import diffuse_rows
 from brdffit.learned.latent import (
     FACTOR,
@@ -59,9 +59,11 @@ class Latent(LobeMethod):
         Raises:
             InputError: for a file that holds no weights of this method.
         """
-        flat = np.zeros((1, 1, 3), np.float32)
-        tiny = Svbrdf(flat + np.array([0, 0, 1], np.float32), flat - 1.0, flat + 0.5, flat + 0.5)
-        self.bake_lobes(tiny, options)
+        self.bake_lobes(tiny_base(), options)
+
+    def trained(self, options: LatentOptions) -> str:
+        """How its weights were made."""
+        return told_of(load_networks(weights_path(options.weights, SHIPPED))[1])
 
     def bake_lobes(self, svbrdf: Svbrdf, options: LatentOptions, progress: Progress | None = None) -> Pyramid:
         """Encode the base once and decode every level.

@@ -23,7 +23,7 @@ from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.learned import asked
-from brdffit.learned.asked import check_asked, weights_path
+from brdffit.learned.asked import check_asked, tiny_base, told_of, weights_path
 from brdffit.learned.kernels.footprints import empty_tiles
 from brdffit.learned.kernels.gathering import gather_tiles
 from brdffit.learned.kernels.saying import say_rows
@@ -74,10 +74,11 @@ class Learned(LobeMethod):
         """
         fitting_kernel(32)
         model_kernels(MODEL, MODEL)
-        flat = np.zeros((3, 3, 3), np.float32)
-        # Of an odd size, so that footprints are gathered too.
-        tiny = Svbrdf(flat + np.array([0, 0, 1], np.float32), flat - 1.0, flat + 0.5, flat + 0.5)
-        self.bake_lobes(tiny, dataclasses.replace(options, model=MODEL, levels=None))
+        self.bake_lobes(tiny_base(), dataclasses.replace(options, model=MODEL, levels=None))
+
+    def trained(self, options: LearnedOptions) -> str:
+        """How its weights were made."""
+        return told_of(load_network(weights_path(options.weights, LEARNED))[1])
 
     def bake_lobes(self, svbrdf: Svbrdf, options: LearnedOptions, progress: Progress | None = None) -> Pyramid:
         """Say every level from the moments of its footprints.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from brdffit.fitting.status import KEPT
 from brdffit.footprint import get_pixel_filter, iter_pyramid
 from brdffit.learned import asked
-from brdffit.learned.asked import bounded, check_asked, weights_path
+from brdffit.learned.asked import bounded, check_asked, told_of, weights_path
 from brdffit.learned.latent import lifted
 from brdffit.learned.mipnet import SHIPPED, TEXEL, MipNetwork, load_mipnet, taken
 from brdffit.learned.mipnet_training import texels_of
@@ -49,6 +49,10 @@ class Mipnet(LobeMethod):
         """
         network, _ = load_mipnet(weights_path(options.weights, SHIPPED))
         network.forward(np.zeros((1, 4, TEXEL)))
+
+    def trained(self, options: MipnetOptions) -> str:
+        """How its weights were made."""
+        return told_of(load_mipnet(weights_path(options.weights, SHIPPED))[1])
 
     def bake_lobes(self, svbrdf: Svbrdf, options: MipnetOptions, progress: Progress | None = None) -> Pyramid:
         """Say every level from the one before.

@@ -9,6 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from brdffit.report import plots
+from brdffit.report.histograms import all_histograms
 from brdffit.report.records import KEPT_SUFFIX, MOST_ANISOTROPY, MOST_DB, Comparison, SetResult, Shot, View
 from brdffit.report.summary import DISTANCES, fit_name, groups, method_names, overall, summary
 
@@ -41,7 +42,7 @@ def render_page(comparison: Comparison, pictures: Mapping[str, NDArray]) -> str:
         overall=overall(comparison),
         views=sum(view.group != "motion" for result in comparison.sets for view in result.views),
         summaries={info.name: info.summary for info in comparison.methods},
-        histograms=plots.difference_histograms(comparison),
+        histograms=all_histograms(comparison),
         times=plots.time_and_gain(rows, colours, fit),
         sets=[_set(result, colours, fit) for result in comparison.sets],
         most_anisotropy=MOST_ANISOTROPY,

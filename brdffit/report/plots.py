@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from brdffit.errors import OutputError
 from brdffit.report.records import Comparison, LobeView, SetResult, unpack
-from brdffit.report.summary import DISTANCES, GROUPS, Row, differences, figure_of, fit_name, view_of
+from brdffit.report.summary import DISTANCES, GROUPS, Row, figure_of, fit_name, view_of
 
 #: The fit first, then the others in their order; told apart by hue and by lightness.
 _COLOURS = (
@@ -31,7 +31,6 @@ _COLOURS = (
     "#0899ad",
     "#333333",
 )
-_DISTANCE_COLOURS = {"near": "#f2a65a", "mid": "#c8553d", "far": "#4a1942"}
 _JPEG_QUALITY = 95
 #: Lobes are shown by the square root of their value, so that their feet are seen.
 _LOBE_POWER = 0.5
@@ -46,7 +45,7 @@ def method_colours(comparison: Comparison) -> dict[str, str]:
 
 def level_curves(result: SetResult, colours: Mapping[str, str], fit: str) -> str:
     """SNR of the lobe and of the whole BRDF over levels, and FLIP over distances: one SVG."""
-    with _figure(3, (10.4, 3.1)) as (figure, axes):
+    with figure_of_axes(3, (10.4, 3.1)) as (figure, axes):
         for each in result.methods:
             style = _style(each.method, colours, fit)
             levels = [level.level for level in each.levels]
@@ -63,36 +62,7 @@ def level_curves(result: SetResult, colours: Mapping[str, str], fit: str) -> str
         axes[2].set_xticks(range(len(DISTANCES)), DISTANCES)
         axes[2].set_ylim(bottom=0.0)
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
-        return _svg(figure)
-
-
-def difference_histograms(comparison: Comparison) -> str:
-    """How much better the fit's pictures are than those of each other method, by distance (Kemppinen 2023, fig. 5)."""
-    fit = fit_name(comparison)
-    others = [info.name for info in comparison.methods if info.name != fit]
-    found = {name: differences(comparison, name) for name in others}
-    found = {name: each for name, each in found.items() if any(each.values())}
-    if not found:
-        return ""
-    every = [value for each in found.values() for values in each.values() for value in values]
-    step = max(1.0, round((max(every) - min(every)) / 24.0))
-    low, high = step * np.floor(min(*every, 0.0) / step), step * np.ceil((max(*every, 0.0) + 1e-9) / step)
-    bins = np.arange(low, high + 1.5 * step, step)
-    columns = min(4, len(found))
-    rows = -(-len(found) // columns)
-    with _figure((rows, columns), (10.4, 1.9 * rows + 0.3), sharex=True, sharey=True) as (figure, axes):
-        for axis, (name, each) in zip(axes, found.items(), strict=False):
-            values = [each[distance] for distance in DISTANCES]
-            axis.hist(values, bins=bins, stacked=True, color=[_DISTANCE_COLOURS[d] for d in DISTANCES],
-                      label=list(DISTANCES))  # fmt: skip
-            axis.axvline(0.0, color="#111827", linewidth=1.0)
-            axis.set_title(f"{fit} less {name}", loc="left")
-            axis.yaxis.get_major_locator().set_params(integer=True)
-        for axis in axes[len(found) :]:
-            axis.set_visible(False)
-        figure.supxlabel("difference of SNR (dB); right of the line the fit is closer to the truth", fontsize=9)
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
-        return _svg(figure)
+        return svg_of(figure)
 
 
 def time_and_gain(rows: Sequence[Row], colours: Mapping[str, str], fit: str) -> str:
@@ -100,7 +70,7 @@ def time_and_gain(rows: Sequence[Row], colours: Mapping[str, str], fit: str) -> 
     known = [row for row in rows if row.seconds and row.gain is not None]
     if not known:
         return ""
-    with _figure(1, (7.4, 3.4)) as (figure, axes):
+    with figure_of_axes(1, (7.4, 3.4)) as (figure, axes):
         axis = axes[0]
         for row in known:
             style = _style(row.method, colours, fit)
@@ -110,7 +80,7 @@ def time_and_gain(rows: Sequence[Row], colours: Mapping[str, str], fit: str) -> 
         axis.set_title("half-angle SNR gained over averaged maps (dB), mean of near, mid, far", loc="left")
         axis.margins(x=0.1, y=0.15)
         _label_apart(axis, [(row.method, row.seconds or 0.0, row.gain or 0.0) for row in known])
-        return _svg(figure)
+        return svg_of(figure)
 
 
 def landscape_figure(landscape: Any, title: str) -> Any:
@@ -229,7 +199,9 @@ _STYLE: Any = {
 
 
 @contextmanager
-def _figure(axes: int | tuple[int, int], size: tuple[float, float], **settings: Any) -> Iterator[tuple[Any, NDArray]]:
+def figure_of_axes(
+    axes: int | tuple[int, int], size: tuple[float, float], **settings: Any
+) -> Iterator[tuple[Any, NDArray]]:
     """A figure without a screen, and its axes as a flat array."""
     import matplotlib
     from matplotlib.figure import Figure as MatplotlibFigure
@@ -240,7 +212,7 @@ def _figure(axes: int | tuple[int, int], size: tuple[float, float], **settings: 
         yield figure, figure.subplots(rows, columns, squeeze=False, **settings).ravel()
 
 
-def _svg(figure: Any) -> str:
+def svg_of(figure: Any) -> str:
     """The figure as an inline element: scaled by the page, without a date and without the head of a file."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})

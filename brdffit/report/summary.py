@@ -161,16 +161,17 @@ def picture_snr(result: SetResult, method: str, lit: str, distance: str) -> floa
     return None if view is None else figure_of(view, method, lambda figures: figures.snr_db)
 
 
-def differences(comparison: Comparison, other: str) -> dict[str, list[float]]:
-    """SNR of the fit less that of another method, by distance, for each set and lighting (as Kemppinen, fig. 5)."""
-    fit = fit_name(comparison)
+def differences(comparison: Comparison, other: str, ours: str | None = None) -> dict[str, list[float]]:
+    """SNR of a method, the fit unless another is named, less that of another, by distance, for each set and lighting
+    (as Kemppinen et al. 2023, fig. 5)."""
+    ours = ours or fit_name(comparison)
     found: dict[str, list[float]] = {distance: [] for distance in DISTANCES}
     for result in comparison.sets:
         for _, lit in groups(comparison)[1:]:
             for distance in DISTANCES:
-                ours, theirs = (picture_snr(result, name, lit or "", distance) for name in (fit, other))
-                if ours is not None and theirs is not None:
-                    found[distance].append(ours - theirs)
+                here, there = (picture_snr(result, name, lit or "", distance) for name in (ours, other))
+                if here is not None and there is not None:
+                    found[distance].append(here - there)
     return found
 
 
