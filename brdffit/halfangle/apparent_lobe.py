@@ -23,8 +23,10 @@ from brdffit.halfangle.patch import (
     bilinear_of,
     corners,
     edges,
+    four_of,
     hash_of,
     in_one_patch,
+    inside,
     leaned,
     least,
     most,
@@ -211,8 +213,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
         diffuse_moment[k] = 0.0
     roughness, tensors = (0.0, 0.0, 0.0, 0.0), (none, none, none, none)
     rough_x, rough_y, colour_x, colour_y, gain = 0.0, 0.0, 0.0, 0.0, 1.0
-    mean_spread = 0.0
-    count, wanted = 0, 0
+    mean_spread, count, wanted = 0.0, 0, 0
     room = lobes.shape[0] - 1 - strata.x.size * strata.y.size
     first_y = 0
     while first_y < strata.y.size:
@@ -231,10 +232,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
             j0, j1 = wrapped(int(y0), height, base.tile), wrapped(int(y0) + 1, height, base.tile)
             normals, colours = corners(base.normal, i0, i1, j0, j1), corners(base.specular, i0, i1, j0, j1)
             if base.isotropic:
-                roughness = (
-                    np.float64(base.perceptual[j0, i0]), np.float64(base.perceptual[j0, i1]),
-                    np.float64(base.perceptual[j1, i0]), np.float64(base.perceptual[j1, i1]),
-                )  # fmt: skip
+                roughness = four_of(base.perceptual, i0, i1, j0, j1)
             else:
                 tensors = corners(base.log_roughness, i0, i1, j0, j1)
             sums = reflecting(colours)
@@ -270,6 +268,8 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
             part_x, part_y = size_x * span_x / cuts_x, size_y * span_y / cuts_y
             x += strata.x[first_x] - 0.5 * size_x - x0
             y += strata.y[first_y] - 0.5 * size_y - y0
+            if cuts_x * cuts_y > 1:
+                x, y = inside(x, many_x * size_x), inside(y, many_y * size_y)
             whole_x = 0.0
             if span_x > 1:
                 whole_x, offset_x = weighed(strata.weight_x, first_x, many_x)
@@ -295,10 +295,10 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                         narrower, gain = narrowed(rough_x, rough_y, part_x, part_y)
                         if coloured:
                             colour_x, colour_y = slopes_of(sums, fx, fy)
-                            inverse_sum = 1.0 / max(bilinear_of(sums, w), 1e-6)
-                            colour_x, colour_y = colour_x * inverse_sum, colour_y * inverse_sum
+                            whole = max(bilinear_of(sums, w), 1e-6)
+                            colour_x, colour_y = colour_x / whole, colour_y / whole
                             narrower *= weighted(rough_x, rough_y, colour_x, colour_y, part_x, part_y)
-                        lobe[ALPHA_SQUARED] = (r * r) * (r * r) * narrower
+                        lobe[ALPHA_SQUARED] = max((r * r) * (r * r) * narrower, least(roughness) ** 4)
                     else:
                         a, b, c = bilinear(tensors, w)
                         lobe[TENSOR], lobe[TENSOR + 1], lobe[TENSOR + 2] = tensor_of_log(a, b, c)

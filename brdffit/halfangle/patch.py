@@ -47,6 +47,12 @@ def corners(image, i0, i1, j0, j1):
 
 
 @inline
+def four_of(image, i0, i1, j0, j1):
+    """The four texels of an image of one channel, in double precision."""
+    return np.float64(image[j0, i0]), np.float64(image[j0, i1]), np.float64(image[j1, i0]), np.float64(image[j1, i1])
+
+
+@inline
 def weights_of(fx, fy):
     """Weights of the four texels of a patch at a point in it."""
     return (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
@@ -139,6 +145,16 @@ def in_one_patch(offsets, centre, first):
     while last < offsets.size and math.floor(centre + offsets[last]) == cell:
         last += 1
     return last - first
+
+
+@inline
+def inside(begin, width):
+    """Where a part of this width begins within a patch, [0, 1], if it would begin at ``begin``.
+
+    A stratum as wide as a texel is centred on one: cut into samples, half of it would lie beyond the patch, where
+    values are made up (roughness passes through 0). Moving it is half a texel of a footprint of many.
+    """
+    return min(max(begin, 0.0), max(1.0 - width, 0.0))
 
 
 @inline
