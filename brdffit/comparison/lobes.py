@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from brdffit.colour import LUMINANCE
 from brdffit.fitting.batch import model_kernels
-from brdffit.halfangle.apparent_lobe import base_of, gather_lobes, normalise_mixture
+from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, base_of, gather_lobes, normalise_mixture
 from brdffit.halfangle.closed_forms import widen_lobes
 from brdffit.halfangle.measure import DENSE_ROOM, DENSE_STEP, dense_strata
 from brdffit.halfangle.quadrature import (
@@ -134,7 +134,7 @@ def _footprint_lobes(svbrdf: Svbrdf, size: tuple[int, int], texel: tuple[int, in
     base = base_of(svbrdf, model.default_shape)
     rule = dense_strata(svbrdf.size, size, pixel_filter, _SAMPLES)
     lobes = np.zeros((DENSE_ROOM * rule.samples + 1, LOBE_COLUMNS))
-    count, _ = gather_lobes(base, rule, DENSE_STEP, texel[0], texel[1], lobes, np.zeros(9))
+    count, _ = gather_lobes(base, rule, DENSE_STEP, texel[0], texel[1], lobes, np.zeros(DIFFUSE_MOMENT))
     normalise_mixture(lobes, count)
     # Full tensors for all, whether or not a sample's part of the footprint spreads.
     widen_lobes(lobes, count, base.isotropic, base.widening)
