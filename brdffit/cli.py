@@ -6,6 +6,8 @@ Exit codes: 0 done, 1 a bad input or a failed bake, 2 a wrong command line, 130 
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -161,11 +163,15 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
 @click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no picture depends on it.")
 @click.option("--from", "records", metavar="FILE", help="Draw the page of this records.json anew; computes nothing.")
 @click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=SCENE_HELP)
+@click.option("--truth", **choice("maps", "microgeometry"), show_default="maps", help="The maps, or the height traced.")
+@click.option("--bounces", type=click.IntRange(min=0), default=1, help="Of light on a traced height.")
+@click.option("--neural", metavar="FILE", help="A neural material of the set, shown beside the methods.")
 @reading_options
 @click.pass_context
 def compare(
     context: click.Context, sources: tuple[str, ...], output: Path | None, records: str | None,
-    scene_file: Path | None, assigned: dict[str, str], **asked: Any,
+    scene_file: Path | None, truth: str | None, bounces: int, neural: str | None, assigned: dict[str, str],
+    **asked: Any,
 ) -> None:  # fmt: skip
     """Bake each SET by every method, hold them against the reference, and write a report."""
     from brdffit.comparison.ask import Ask
@@ -183,7 +189,13 @@ def compare(
         refuse_beside_scene(context, ("scene_file", "output", "methods", "quick", "threads"))
         page = compare_by_plan(scene_file, output or "report", **given)
     else:
-        page = compare_to_folder(sources, output or "report", Ask.of(reading=reading, **given))
+        ask = dataclasses.replace(Ask.of(reading=reading, **given), neural=neural)
+        make = None
+        if truth == "microgeometry":
+            from brdffit.comparison.traced import traced_truth, with_truth
+
+            ask, make = with_truth(ask), functools.partial(traced_truth, bounces=bounces, threads=given.get("threads"))
+        page = compare_to_folder(sources, output or "report", ask, make)
     print_summary(page)
 
 

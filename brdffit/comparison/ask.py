@@ -36,6 +36,7 @@ class Ask:
         unread: roles of maps that the fit is not given; the reference and the baselines see all.
         options: of the bake, each for those methods that have it, see ``brdffit methods NAME``.
         reading: how a folder is read, see ``read_texture_set``.
+        neural: file of a neural material that is shown beside the methods, or None.
     """
 
     methods: tuple[str, ...] = ()
@@ -52,6 +53,7 @@ class Ask:
     unread: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     reading: Mapping[str, Any] = field(default_factory=dict)
+    neural: str | None = None
 
     @classmethod
     def of(

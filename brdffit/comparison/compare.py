@@ -13,6 +13,7 @@ from typing import Any
 from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
 from brdffit.comparison.one_set import MakeTruth, SetWork, fit_of
 from brdffit.comparison.surroundings import read_environment
+from brdffit.comparison.traced import NEURAL, NEURAL_SUMMARY
 from brdffit.comparison.views import Studio
 from brdffit.machine import machine
 from brdffit.methods import method_names
@@ -75,7 +76,7 @@ def compare(
         methods=[
             MethodInfo(name=name, summary=variant(name, ask.options)[0].summary, fit=name == fit_of(methods))
             for name in methods
-        ],
+        ] + ([MethodInfo(name=NEURAL, summary=NEURAL_SUMMARY)] if ask.neural else []),
         sets=results,
         seconds=time.perf_counter() - began,
     )  # fmt: skip

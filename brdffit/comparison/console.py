@@ -18,10 +18,11 @@ from rich.table import Table
 from rich.text import Text
 
 from brdffit.report.records import MOST_DB, RECORDS, Comparison
-from brdffit.report.summary import DISTANCES, groups, overall, summary
+from brdffit.report.summary import DISTANCES, groups, level_table, overall, summary
 
 if TYPE_CHECKING:
     from brdffit.comparison.ask import Ask
+    from brdffit.comparison.one_set import MakeTruth
 
 Path_ = str | os.PathLike[str]
 #: Columns where no terminal sets them.
@@ -65,11 +66,14 @@ class ComparisonDisplay:
         self._bars.update(self._task, description=description, total=total, completed=done)
 
 
-def compare_to_folder(sources: Sequence[Any], folder: Path_, ask: Ask | Sequence[Ask]) -> Written:
+def compare_to_folder(
+    sources: Sequence[Any], folder: Path_, ask: Ask | Sequence[Ask], truth: MakeTruth | None = None
+) -> Written:
     """Compare sets and write the report; what was in the folder stays until all is done.
 
     Args:
         sources: sets, see ``compare``. folder: of the report. ask: what, for all sets or for each.
+        truth: what they are compared with, see ``compare``.
 
     Raises:
         InputError, UnknownNameError, OutputError: see ``compare`` and ``write_report``.
@@ -81,7 +85,7 @@ def compare_to_folder(sources: Sequence[Any], folder: Path_, ask: Ask | Sequence
     check_report_folder(folder)
     command = shlex.join(["brdffit", *sys.argv[1:]])
     with ComparisonDisplay() as display:
-        comparison, pictures = compare(sources, ask, command=command, listener=display)
+        comparison, pictures = compare(sources, ask, truth=truth, command=command, listener=display)
         display.phase("drawing the page")
         return Written(comparison, write_report(comparison, pictures, folder))
 
@@ -112,6 +116,11 @@ def print_summary(written: Written) -> None:
     console.print(_overall_table(comparison))
     console.print("SNR in dB by distance and light, mean over the sets")
     console.print(_distance_table(comparison))
+    for result in comparison.sets:
+        rows = level_table(result.views)
+        if rows:
+            console.print(f"{result.name}, traced, at 45 degrees: MSE x 10^3 / SNR in dB / FLIP by level")
+            console.print(_level_table(rows))
     for result in comparison.sets:
         for each in result.skipped:
             console.print(f"- {result.name}: no {each.method}. {each.reason}", soft_wrap=True)
@@ -144,6 +153,17 @@ def _overall_table(comparison: Comparison) -> Table:
         worst = "-" if row.worst is None else f"{row.worst[0]} ({_decibels(row.worst[1])})"
         seconds = "-" if row.seconds is None else f"{row.seconds:.2f}"
         table.add_row(row.method, *(_marked(text, name in row.best) for name, text in cells), worst, seconds)
+    return table
+
+
+def _level_table(rows: Sequence[tuple[str, Sequence[tuple[float, float, float]]]]) -> Table:
+    """Errors of every method at each level."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("method")
+    for level in range(max(len(figures) for _, figures in rows)):
+        table.add_column(str(level), justify="right")
+    for method, figures in rows:
+        table.add_row(method, *(f"{mse:.2f} / {snr:.1f} / {flip:.3f}" for mse, snr, flip in figures))
     return table
 
 

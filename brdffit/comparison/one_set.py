@@ -14,6 +14,7 @@ from brdffit.appearance import Truth
 from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
 from brdffit.comparison.lobes import lobe_view, model_of, representative_texels, same_place
 from brdffit.comparison.maps import map_strip
+from brdffit.comparison.traced import NEURAL, neural_result, tilted_views
 from brdffit.comparison.views import Pyramids, Studio, all_views, distances_of
 from brdffit.errors import InputError
 from brdffit.fitting.batch import model_kernels
@@ -77,6 +78,9 @@ class SetWork:
         pyramids = {name: [level.svbrdf.over_black() for level in pyramid.levels] for name, pyramid in lobes_of.items()}
         # What is no pyramid of lobes is drawn by what it says of itself.
         drawn = {name: pyramids.get(name, each.appearance) for name, each in baked.items()}
+        if self.ask.neural is not None:
+            baked[NEURAL] = neural_result(self.ask.neural, self.base.size)
+            seconds[NEURAL], drawn[NEURAL] = 0.0, baked[NEURAL].appearance
         fit = fit_of(list(baked))
         depth = min(len(each.sizes) for each in baked.values())
         kept = self._kept(pyramids[fit], fit) if fit in pyramids else {}
@@ -89,7 +93,11 @@ class SetWork:
             pairs = self._pairs(pyramids, depth)
         views = []
         with self._phase("pictures"):
-            for view, shown in all_views(self.truth, drawn, kept, depth, self.studio, self._tell):
+            if self.truth is self.base:
+                seen = all_views(self.truth, drawn, kept, depth, self.studio, self._tell)
+            else:
+                seen = tilted_views(self.truth, drawn, depth, self.studio, self._tell)
+            for view, shown in seen:
                 for name, picture in shown.items():
                     self._store(f"{view.key}-{name}", picture)
                 view.reference = self._path(f"{view.key}-reference")

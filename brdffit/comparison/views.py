@@ -165,25 +165,25 @@ def all_views(
     first: dict[str, NDArray] = {}  # what half a pixel is held against
     for still in (each for each in views if each.group == "distance"):
         told(f"{still.distance}, {still.lit}")
-        taken = _take(base, {**pyramids, **kept} if still.level == 0 else pyramids, still.scene, still.lit, studio)
+        taken = take(base, {**pyramids, **kept} if still.level == 0 else pyramids, still.scene, still.lit, studio)
         if still.distance == "near" and still.lit == main:
             first = taken.pictures()
-        view = _view(still, taken)
-        yield view, _displayed(taken.pictures(), view.exposure)
+        view = view_of(still, taken)
+        yield view, pictures_of(taken, view.exposure)
 
     told("half a pixel")
     shown = {**pyramids, **kept} if near == 0 else pyramids
     moved = scenes.plane(base.size, near, _pixels(studio, main), shift=_HALF_PIXEL)
-    yield _shift_view(first, _take(base, shown, moved, main, studio).pictures(), near, main)
+    yield _shift_view(first, take(base, shown, moved, main, studio).pictures(), near, main)
 
     told("slow rotation")
     yield _rotation_view(base, shown, studio, near)
 
     for still in (each for each in views if each.group == "scene"):
         told(still.scene.name)
-        taken = _take(base, pyramids, still.scene, still.lit, studio)
-        view = _view(still, taken)
-        yield view, _displayed(taken.pictures(), view.exposure)
+        taken = take(base, pyramids, still.scene, still.lit, studio)
+        view = view_of(still, taken)
+        yield view, pictures_of(taken, view.exposure)
 
 
 def _pixels(studio: Studio, lit: str) -> tuple[int, int]:
@@ -213,7 +213,7 @@ def _held(value: float, most: float) -> float:
 
 
 @dataclass(frozen=True)
-class _Taken:
+class Taken:
     """One scene under one lighting: the reference, and halves (2, h, w, 3) of pictures by name of the method."""
 
     reference: Reference
@@ -227,12 +227,17 @@ class _Taken:
         }
 
 
-def _take(base: Svbrdf | Truth, pyramids: Drawn, scene: Scene, lit: str, studio: Studio) -> _Taken:
+def pictures_of(taken: Taken, exposure: float) -> dict[str, NDArray]:
+    """All pictures of a scene as they are displayed."""
+    return _displayed(taken.pictures(), exposure)
+
+
+def take(base: Svbrdf | Truth, pyramids: Drawn, scene: Scene, lit: str, studio: Studio) -> Taken:
     methods = {name: studio.method(levels, scene, lit) for name, levels in pyramids.items()}
-    return _Taken(studio.reference(base, scene, lit), methods)
+    return Taken(studio.reference(base, scene, lit), methods)
 
 
-def _view(still: Still, taken: _Taken) -> View:
+def view_of(still: Still, taken: Taken) -> View:
     """The record of a still view; names of pictures are keys for now, paths later."""
     exposure = metrics.exposure_of(taken.reference.radiance)
     with ThreadPoolExecutor() as pool:  # FLIP, the longest, lets others work meanwhile
@@ -279,7 +284,7 @@ def _rotation_view(base: Svbrdf | Truth, pyramids: Drawn, studio: Studio, near: 
         for column in range(_COLUMNS)
         for i in range(studio.frames)
     ]
-    taken = _take(base, pyramids, scenes.side_by_side(parts), lit, studio).pictures()
+    taken = take(base, pyramids, scenes.side_by_side(parts), lit, studio).pictures()
     # (frames, columns, pixels, 3)
     shape = (studio.pixels, _COLUMNS, studio.frames, 3)
     frames = {name: picture.reshape(shape).transpose(2, 1, 0, 3) for name, picture in taken.items()}

@@ -91,6 +91,29 @@ def plane(
     )
 
 
+def tilted(base_size: tuple[int, int], level: float, pixels: tuple[int, int], degrees: float) -> Scene:
+    """A plane seen from afar at an angle to its normal, from below in the picture; lights stand by the plane.
+
+    A pixel is one texel of ``level`` wide, and on the plane longer than that by 1 / cos.
+
+    Args:
+        base_size, level, pixels: as in ``plane``. degrees: between the view and the normal.
+    """
+    x, y = _pixel_grid(pixels, (0.0, 0.0))
+    scale, cosine = _texel_size(base_size, level), math.cos(math.radians(degrees))
+    view = np.array([0.0, -math.sin(math.radians(degrees)), cosine])
+    return Scene(
+        name="tilted",
+        level=level,
+        base_size=base_size,
+        centre=np.stack([x * scale[1], y * scale[0] / cosine], axis=-1),
+        axes=np.broadcast_to(np.diag([scale[1], scale[0] / cosine]), (*pixels, 2, 2)).copy(),
+        view=np.broadcast_to(view, (*pixels, 3)).astype(np.float32),
+        frame=np.broadcast_to(np.eye(3), (*pixels, 3, 3)).astype(np.float32),
+        coverage=np.ones(pixels, np.float32),
+    )
+
+
 def slanted(
     base_size: tuple[int, int],
     pixels: tuple[int, int] = (256, 256),

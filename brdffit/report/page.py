@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from brdffit.report import plots
 from brdffit.report.histograms import all_histograms
 from brdffit.report.records import KEPT_SUFFIX, MOST_ANISOTROPY, MOST_DB, Comparison, SetResult, Shot, View
-from brdffit.report.summary import DISTANCES, fit_name, groups, method_names, overall, summary
+from brdffit.report.summary import DISTANCES, fit_name, groups, level_table, method_names, overall, summary
 
 
 def render_page(comparison: Comparison, pictures: Mapping[str, NDArray]) -> str:
@@ -86,6 +86,7 @@ def _set(result: SetResult, colours: Mapping[str, str], fit: str) -> dict[str, A
     return {
         "record": result,
         "curves": plots.level_curves(result, colours, fit),
+        "traced": level_table(result.views),
         "stills": [view for view in result.views if view.group != "motion"],
         "motions": [view for view in result.views if view.group == "motion"],
         "kept": _kept_rows(result, fit),

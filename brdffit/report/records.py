@@ -24,6 +24,8 @@ RECORDS, PAGE, PICTURES = "records.json", "index.html", "pictures"
 MOST_ANISOTROPY = 32.0
 #: Ending of the name under which the fit is shown with level 0 as authored.
 KEPT_SUFFIX = ", level 0 kept"
+#: Group of views that show one level each at an angle.
+LEVEL_GROUP = "level"
 #: Decibels of no error at all.
 MOST_DB = 99.0
 
@@ -33,7 +35,10 @@ class Record(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Figures(Record, kw_only=True):
-    """What is said of one picture against its reference; see ``brdffit.render.metrics``."""
+    """What is said of one picture against its reference; see ``brdffit.render.metrics``.
+
+    ``mse``: mean squared error of linear radiance, where a white matt surface has 1; of views that are lit so.
+    """
 
     snr_db: float
     relative_l2: float
@@ -41,6 +46,7 @@ class Figures(Record, kw_only=True):
     flip_ldr: float
     ssim: float
     energy_kept: float
+    mse: float | None = None
 
 
 class Shot(Record, kw_only=True):
@@ -58,8 +64,8 @@ class Shot(Record, kw_only=True):
 class View(Record, kw_only=True):
     """One scene under one lighting, by the reference and by every method.
 
-    ``group`` gathers views under one heading ("distance", "scene", "motion", "level 0"); ``distance`` is "near", "mid",
-    "far" or empty; ``exposure`` is the factor before the tone curve, the same for all its pictures.
+    ``group`` gathers views under one heading ("distance", "scene", "motion", "level 0", "level"); ``distance`` is
+    "near", "mid", "far" or empty; ``exposure`` is the factor before the tone curve, the same for all its pictures.
     """
 
     key: str

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from brdffit.report.records import KEPT_SUFFIX, MOST_DB, Comparison, Figures, SetResult, View
+from brdffit.report.records import KEPT_SUFFIX, LEVEL_GROUP, MOST_DB, Comparison, Figures, SetResult, View
 
 #: What the summary's columns stand under, and the lighting of its pictures (None: pairs of light and viewer).
 GROUPS: tuple[tuple[str, str | None], ...] = (
@@ -233,3 +233,14 @@ def _best(values: dict[str, list[float]], comparison: Comparison) -> set[str]:
 
 def _mean(values: list[float]) -> float | None:
     return sum(values) / len(values) if values else None
+
+
+def level_table(views: Sequence[View]) -> list[tuple[str, list[tuple[float, float, float]]]]:
+    """(method, (MSE x 10^3, SNR in dB, FLIP) of each level) of a set's views, as the paper's Table 3."""
+    found: dict[str, list[tuple[float, float, float]]] = {}
+    for view in (each for each in views if each.group == LEVEL_GROUP):
+        for shot in view.shots:
+            if shot.figures is not None and shot.figures.mse is not None:
+                figures = shot.figures
+                found.setdefault(shot.method, []).append((1e3 * shot.figures.mse, figures.snr_db, figures.flip_ldr))
+    return list(found.items())

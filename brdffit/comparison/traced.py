@@ -1,0 +1,92 @@
+"""A comparison with the height traced as a surface: level by level at 45 degrees (Kuznetsov et al. 2021, Table 3).
+
+Maps are held against a truth with parallax, masking, shadows and interreflection, which they cannot show, beside a
+neural material, which can. The light's irradiance on the plane is pi: a white matt plane has the radiance 1, so that
+mean squared errors of linear radiance are on the scale of the paper's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.appearance import Truth
+from brdffit.comparison.ask import SMALL_LIGHTS, Ask
+from brdffit.comparison.views import Drawn, Still, Studio, Told, pictures_of, take, view_of
+from brdffit.methods import Baked, Material
+from brdffit.microgeometry.tracer import Effects, Microgeometry
+from brdffit.options import BakeOptions
+from brdffit.render.lights import Lights
+from brdffit.render.scenes import tilted
+from brdffit.report.records import LEVEL_GROUP, View
+from brdffit.svbrdf import Svbrdf
+
+#: Methods of the table where none are named, before a neural material.
+METHODS = ("naive", "vmf", "lean", "bfgs", "height", "ndm")
+NEURAL = "neural"
+NEURAL_SUMMARY = "a neural material trained on the traced height (brdffit neural train)"
+#: Degrees between the view and the plane's normal, and levels that are seen.
+_TILT, _LEVELS = 45.0, 8
+#: A little to the left, and from above.
+_LIGHT = np.array([-0.5, 0.35, 1.0])
+
+
+def traced_truth(material: Material, bounces: int = 1, threads: int | None = None) -> Microgeometry:
+    """The height of a set as a surface.
+
+    Raises:
+        InputError: when the set has no height map.
+    """
+    return Microgeometry.of(material.svbrdf, Effects(bounces=bounces), threads=threads)
+
+
+def neural_result(path: str, size: tuple[int, int]) -> Baked:
+    """A trained material as a result among others, for a base (h, w).
+
+    Raises:
+        InputError: when the file is none, or is damaged.
+    """
+    from brdffit.neural.material import read_material
+
+    return Baked(NEURAL, BakeOptions(), read_material(Path(path), size))
+
+
+def with_truth(ask: Ask) -> Ask:
+    """What is asked of a comparison with a traced height, where nothing else is said."""
+    return ask if ask.methods else dataclasses.replace(ask, methods=METHODS)
+
+
+def tilted_views(
+    truth: Svbrdf | Truth, drawn: Drawn, depth: int, studio: Studio, told: Told = lambda what: None
+) -> Iterator[tuple[View, dict[str, NDArray]]]:
+    """A view of each level at 45 degrees, with its pictures as ``views.all_views`` has them.
+
+    Args:
+        truth: what is seen. drawn: results by name of the method. depth: levels that all of them have.
+    """
+    direction = _LIGHT / np.linalg.norm(_LIGHT)
+    light = Lights(direction[None], np.full((1, 3), math.pi / direction[2]))
+    one = dataclasses.replace(studio, lights=light, lit=(SMALL_LIGHTS,))
+    side = max(studio.pixels // 2, 16)
+    for level in range(min(depth, _LEVELS)):
+        told(f"level {level} at {_TILT:g} degrees")
+        scene = tilted(truth.size, level, (side, side), _TILT)
+        still = Still(
+            f"level-{level}", LEVEL_GROUP, f"Level {level} at {_TILT:g} degrees", scene, SMALL_LIGHTS, "", level
+        )
+        taken = take(truth, drawn, scene, SMALL_LIGHTS, one)
+        view = view_of(still, taken)
+        first, second = taken.reference.halves.astype(np.float64)
+        for shot in view.shots:
+            picture = taken.methods[shot.method].mean(axis=0)
+            assert shot.figures is not None
+            # Free of the truth's own noise, which is independent in its halves.
+            mse = float(((picture - first) * (picture - second)).mean())
+            shot.figures = msgspec.structs.replace(shot.figures, mse=mse)
+        yield view, pictures_of(taken, view.exposure)
