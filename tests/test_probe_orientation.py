@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from container_support import node
 from probes_support import relative_l1
 from test_probe_cubemap import write_exr
 
@@ -84,6 +85,22 @@ def test_filaments_file_holds_harmonics_with_their_constants(tmp_path):
     x, y, z = at.T
     drawn = np.stack([x**0, y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], axis=1) @ stored
     np.testing.assert_allclose(drawn, nine_basis(at) @ irradiance_nine(lettered_cube(64)), rtol=0.02, atol=0.01)
+
+
+def test_other_readers_find_six_faces_and_all_levels(tmp_path):
+    """KTX2 by ktx-parse, BC6H in DDS by three.js's DDSLoader."""
+    asked = ("--size", 64, "--levels", 5, "--no-picture")
+    run("probe", "letters", "-o", tmp_path / "plain", *asked)
+    run("probe", "letters", "-o", tmp_path / "three", "--for", "three", *asked)
+    files = [tmp_path / "plain" / "letters" / "specular.ktx2", tmp_path / "three" / "letters" / "specular.dds"]
+    result = node("cubes.mjs", *files)
+    assert result.returncode == 0, result.stderr
+    ktx, dds = (json.loads(line) for line in result.stdout.splitlines())
+    assert ktx == {"faces": 6, "size": 64, "format": 123, "levels": 5}
+    assert dds["cube"] and (dds["size"], dds["levels"]) == (64, 5)
+    # Faces one after another, each with its levels; a block of 4x4 texels is 16 bytes.
+    sizes = [[n, (n // 4) ** 2 * 16] for n in (64, 32, 16, 8, 4)]
+    assert dds["images"] == 6 * sizes
 
 
 def test_cmgen_agrees_about_the_world_and_errs_more(tmp_path):

@@ -26,7 +26,7 @@ from brdffit.probes.lookup import fitted_to_lookup, lookup_errors
 from brdffit.probes.parallel import default_threads
 from brdffit.probes.published import TABLE_1, TABLE_1_SAMPLES, TABLE_3, TABLE_3_ORDERS
 from brdffit.probes.reading import as_cube, read_surroundings
-from brdffit.probes.report_pictures import draw_front, draw_levels, draw_point_responses
+from brdffit.probes.report_pictures import draw_front, draw_histories, draw_levels, draw_point_responses
 from brdffit.probes.shelf import find_environments
 from brdffit.probes.split_sum import split_errors
 from brdffit.probes.table_files import load_table, shipped_tables
@@ -37,7 +37,7 @@ from brdffit.probes.tree import Tree
 _LEVELS = 7
 #: Engines whose look-up is measured: curve, levels.
 _LOOKUPS = (("activision", 7), ("quadratic", 7), ("quadratic", 5), ("linear", 7), ("unity", 7), ("unreal", 8))
-_FILES = ("index.html", "records.json", "front.png", "points.png")
+_FILES = ("index.html", "records.json", "front.png", "points.png", "searches.png")
 
 
 def compare_to_folder(
@@ -67,6 +67,7 @@ def compare_to_folder(
         records["split_sum"] = split_errors(list(cubes.values()), 200 if quick else 1000, threads)
         draw_front(records["methods"], folder / "front.png")
         draw_point_responses(folder / "points.png")
+        draw_histories(folder / "searches.png")
         for name, cube in cubes.items():
             draw_levels(cube, folder / f"levels-{name}.png", threads)
         (folder / "records.json").write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")

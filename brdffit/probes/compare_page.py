@@ -77,6 +77,9 @@ def page(records: dict[str, Any]) -> str:
             ]
             + [[e["table"], _number(e["error"]), _number(e["paper"])] for e in preimages["irradiance"]],
         ),
+        "<p>How the searches went: the best error on the searched texels over processor time, and as a dot the error "
+        "on held-out texels at the end.</p>",
+        '<img src="searches.png" alt="error over time of the searches">',
         "<h2>One bright texel in the middle of a face, on an edge, at a corner (figure 8)</h2>",
         '<img src="points.png" alt="point responses">',
         *_cmgen_section(records.get("cmgen", [])),

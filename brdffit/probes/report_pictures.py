@@ -49,6 +49,41 @@ def draw_front(methods: list[dict[str, Any]], path: Path) -> None:
     pyplot.close(figure)
 
 
+def draw_histories(path: Path) -> None:
+    """Best error on the searched texels over processor time, for each level of every shipped table."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    tables = [load_table(name) for name in shipped_tables()]
+    rows = (len(tables) + 2) // 3
+    figure, all_axes = pyplot.subplots(rows, 3, figsize=(11.0, 2.9 * rows), dpi=100, squeeze=False)
+    for axes, table in zip(all_axes.flat, tables, strict=False):
+        for level in sorted(table.histories):
+            seconds, errors, steps = zip(*table.histories[level], strict=True)
+            # Errors after the search are on other texels: only those of one kind are compared.
+            searched = [k for k, step in enumerate(steps) if step.startswith(("start", "deepened"))]
+            line = axes.step(
+                [seconds[k] for k in searched],
+                np.minimum.accumulate([errors[k] for k in searched]),
+                where="post",
+                label=f"level {level}",
+            )[0]
+            axes.plot(table.seconds[level], table.errors[level], "o", color=line.get_color(), markersize=4)
+        axes.set_title(table.name, fontsize=9)
+        axes.set_xscale("log")
+        axes.grid(True, alpha=0.2)
+        axes.legend(fontsize=6)
+    for axes in all_axes.flat[len(tables) :]:
+        axes.axis("off")
+    figure.supxlabel("processor seconds", fontsize=9)
+    figure.supylabel("L1 of the preimage", fontsize=9)
+    figure.tight_layout()
+    figure.savefig(path)
+    pyplot.close(figure)
+
+
 def _methods() -> list[tuple[str, FilterOptions]]:
     out = [("exact", FilterOptions("tree", 1e-4)), ("tree 0.01", FilterOptions("tree", 0.01))]
     whole = [name for name in shipped_tables() if len(load_table(name).errors) == 6]

@@ -35,6 +35,7 @@ class TableFile:
         sizes: texels along a face of each level with a table.
         seconds: processor time that each level took to fit.
         errors: mean L1 of the preimage on held-out texels, of each level with a table.
+        histories: (seconds, error on the searched texels, step) of each level, as the search went.
         record: everything the file says besides.
     """
 
@@ -44,6 +45,7 @@ class TableFile:
     sizes: dict[int, int]
     errors: dict[int, float]
     seconds: dict[int, float]
+    histories: dict[int, list]
     record: dict
 
 
@@ -84,9 +86,9 @@ def _parsed(path: Path, record: dict) -> TableFile:
     for each in record["levels"]:
         levels[each["level"]] = np.array(each["table"])
         sizes[each["level"]], errors[each["level"]] = each["size"], each["error"]
-    return TableFile(
-        path.stem, record["curve"], levels, sizes, errors, seconds, {k: v for k, v in record.items() if k != "levels"}
-    )
+    histories = {each["level"]: each["history"] for each in record["levels"]}
+    rest = {key: value for key, value in record.items() if key != "levels"}
+    return TableFile(path.stem, record["curve"], levels, sizes, errors, seconds, histories, rest)
 
 
 def make_table(

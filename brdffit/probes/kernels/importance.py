@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from brdffit._jit import inline, kernel
-from brdffit.probes.kernels.cube import bilinear_corner, face_of, face_point
+from brdffit.probes.kernels.cube import face_of, face_point
 from brdffit.probes.kernels.pyramid import fold_level, pad_level
-from brdffit.probes.kernels.tables import level_between, splat
+from brdffit.probes.kernels.tables import level_between, read_trilinear, splat
 
 
 @inline
@@ -106,20 +106,8 @@ def filter_by_importance(samples, n, first, last, pyramids, offsets, sizes, out)
                 weight = samples[k, 2]
                 g, u, v, level = sample_at(samples, k, frame, nx, ny, nz, area)
                 below, share = level_between(level, 0, len(sizes) - 1)
-                total += weight
-                for e in range(2):
-                    part = weight * (share if e else 1.0 - share)
-                    m = sizes[below + e]
-                    column, row, right, down = bilinear_corner(u, v, m)
-                    at = offsets[below + e] + (g * (m + 2) + row) * (m + 2) + column
-                    w00, w01 = part * (1.0 - right) * (1.0 - down), part * right * (1.0 - down)
-                    w10, w11 = part * (1.0 - right) * down, part * right * down
-                    p = pyramids[0]
-                    red += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
-                    p = pyramids[1]
-                    green += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
-                    p = pyramids[2]
-                    blue += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+                r, q, b = read_trilinear(pyramids, offsets, sizes, g, u, v, below, share)
+                total, red, green, blue = total + weight, red + weight * r, green + weight * q, blue + weight * b
             out[face, j, i, 0] = red / total
             out[face, j, i, 1] = green / total
             out[face, j, i, 2] = blue / total

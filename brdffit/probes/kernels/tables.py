@@ -132,6 +132,26 @@ def read(flat, offsets, sizes, face, u, v, level):
     return top + (bottom - top) * down, across * 0.5 * n, (top - bottom) * 0.5 * n
 
 
+@inline
+def read_trilinear(pyramids, offsets, sizes, face, u, v, below, share):
+    """Red, green and blue of flat pyramids (3, ...) at (u, v), ``share`` of them from the level after ``below``."""
+    red, green, blue = 0.0, 0.0, 0.0
+    for e in range(2):
+        part = share if e else 1.0 - share
+        m = sizes[below + e]
+        column, row, right, down = bilinear_corner(u, v, m)
+        at = offsets[below + e] + (face * (m + 2) + row) * (m + 2) + column
+        w00, w01 = part * (1.0 - right) * (1.0 - down), part * right * (1.0 - down)
+        w10, w11 = part * (1.0 - right) * down, part * right * down
+        p = pyramids[0]
+        red += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+        p = pyramids[1]
+        green += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+        p = pyramids[2]
+        blue += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+    return red, green, blue
+
+
 @kernel
 def preimage(flat, offsets, sizes, borders, weights, base, taps, count):
     """What the texels of level ``base`` weigh in a texel with these taps; returns the sum of weights, not divided out.
@@ -240,20 +260,8 @@ def filter_by_table(table, n, first, last, pyramids, offsets, sizes, out):
             for k in range(count):
                 below, share = level_between(taps[k, TAP_LEVEL], 0, len(sizes) - 1)
                 g, u, v, weight = int(taps[k, TAP_FACE]), taps[k, TAP_U], taps[k, TAP_V], taps[k, TAP_WEIGHT]
-                total += weight
-                for e in range(2):
-                    part = weight * (share if e else 1.0 - share)
-                    m = sizes[below + e]
-                    column, row, right, down = bilinear_corner(u, v, m)
-                    at = offsets[below + e] + (g * (m + 2) + row) * (m + 2) + column
-                    w00, w01 = part * (1.0 - right) * (1.0 - down), part * right * (1.0 - down)
-                    w10, w11 = part * (1.0 - right) * down, part * right * down
-                    p = pyramids[0]
-                    red += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
-                    p = pyramids[1]
-                    green += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
-                    p = pyramids[2]
-                    blue += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+                r, q, b = read_trilinear(pyramids, offsets, sizes, g, u, v, below, share)
+                total, red, green, blue = total + weight, red + weight * r, green + weight * q, blue + weight * b
             out[face, j, i, 0] = max(red / total, 0.0)
             out[face, j, i, 1] = max(green / total, 0.0)
             out[face, j, i, 2] = max(blue / total, 0.0)
