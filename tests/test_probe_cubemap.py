@@ -5,7 +5,7 @@ import pytest
 from probes_support import lamps
 
 from brdffit.errors import InputError
-from brdffit.files.image_io import write_mip_exr
+from brdffit.files.image_io import write_mip_exr, write_png
 from brdffit.probes.cubemap import (
     directions,
     face_coordinates,
@@ -239,3 +239,10 @@ def test_a_picture_that_repeats_its_border_is_seen(tmp_path):
     assert read_surroundings(tmp_path / "border.exr").on_border
     write_exr(tmp_path / "plain.exr", np.random.default_rng(0).random((16, 32, 3)))
     assert not read_surroundings(tmp_path / "plain.exr").on_border
+
+
+def test_eight_bits_are_read_and_said_to_have_little_range(tmp_path):
+    write_png(tmp_path / "sky.png", np.full((32, 64, 3), 188, np.uint8))
+    read = read_surroundings(tmp_path / "sky.png")
+    np.testing.assert_allclose(read.pixels, 0.5028865, rtol=1e-4)
+    assert any("8 bits" in note and "clipped" in note for note in read.notes)
