@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from benchmarks.materials import load_any, load_procedural, real_sets
 from benchmarks.record import Section, Target
 from brdffit import _jit
+from brdffit.colour import LUMINANCE
 from brdffit.fitting import batch, method
 from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.options import FitOptions
@@ -133,7 +134,7 @@ def _bake(base: Svbrdf, levels: int = _LEVELS, **options: Any) -> Callable[[], o
 
 def _of_data(base: Svbrdf) -> list[Row]:
     """Effects that a base may lack."""
-    luminance = base.specular @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    luminance = base.specular @ LUMINANCE
     grey = base.replace(specular=np.repeat(luminance[..., None], 3, axis=2))
     white = base.replace(specular=np.ones_like(base.specular))
     black = base.replace(diffuse=np.zeros_like(base.diffuse))

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.colour import encode_srgb
 from brdffit.errors import BrdffitError, InputError, OutputError, UnknownNameError
 from brdffit.files.image_io import write_png
 from brdffit.textures.generators import GENERATORS, unit_range
@@ -86,7 +87,7 @@ def make_set(name: str, folder: str | Path, size: int = 512) -> Path:
         raise OutputError(f"'{folder}' cannot be made: {error.strerror}.") from error
     stem = "".join(part.capitalize() for part in name.split("-"))
     pictures = {
-        "Color": _with_alpha(_codes(_srgb(maps.color), 255), maps.opacity),
+        "Color": _with_alpha(_codes(encode_srgb(maps.color), 255), maps.opacity),
         "NormalGL": _codes(0.5 * maps.normal + 0.5, 65535),
         "Roughness": _codes(maps.roughness, 255),
         "Metallic": None if maps.metallic is None else _codes(maps.metallic, 255),
@@ -105,10 +106,6 @@ def make_set(name: str, folder: str | Path, size: int = 512) -> Path:
         finally:
             part.unlink(missing_ok=True)
     return folder
-
-
-def _srgb(linear: NDArray) -> NDArray:
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
 
 
 def _with_alpha(colours: NDArray, opacity: NDArray | None) -> NDArray:
