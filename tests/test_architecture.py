@@ -66,6 +66,12 @@ FORBIDDEN = {
         "brdffit.fitting", "brdffit.halfangle", "brdffit.render", "brdffit.models", "brdffit.svbrdf", "brdffit.methods",
         "brdffit.pipeline", "brdffit.comparison", "brdffit.landscape", "brdffit.cli",
     },
+    # The page draws by itself; what it shows was baked by the one road.
+    "brdffit.viewer": {
+        "brdffit.fitting", "brdffit.halfangle", "brdffit.models", "brdffit.render", "brdffit.report",
+        "brdffit.comparison", "brdffit.planning", "brdffit.library", "brdffit.neural", "brdffit.learned", "matplotlib",
+        "jinja2",
+    },
     # Data for the console, which prints it.
     "brdffit.doctor": {"brdffit.render", "brdffit.console", "brdffit.cli", "brdffit.report", "rich", "click"},
     "brdffit.comparison": {

@@ -22,6 +22,7 @@ def levels_of(path: Path) -> str:
     while True:
         image = oiio.ImageBuf(str(path), 0, level)
         if not image.initialized or image.nmiplevels <= level:
+            image.geterror()  # beyond the last level: no fault
             break
         found = image.spec().width, image.spec().height
         if level and found != tuple(max(1, side >> 1) for side in size):
@@ -29,7 +30,7 @@ def levels_of(path: Path) -> str:
         if not image.read(0, level, True):
             return f"level {level}: {image.geterror()}"
         size, level = found, level + 1
-    return "" if size == (1, 1) else f"stops at {size[0]}x{size[1]}: {oiio.geterror()}"
+    return "" if size == (1, 1) else f"stops at {size[0]}x{size[1]}"
 
 
 def main(folders: list[str]) -> int:
