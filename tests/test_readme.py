@@ -24,9 +24,9 @@ COMMANDS = [line for block in re.findall(r"```sh\n(.*?)```", TEXT, re.S) for lin
 MAKE = [line for line in COMMANDS if line.startswith("make ")]
 BRDFFIT = [line for line in COMMANDS if line.startswith("brdffit ")]
 PROGRAMS = re.findall(r"```python\n(.*?)```", TEXT, re.S)
-SETS = ("glossy-tiles", "grooved-record", "hammered-metal", "brushed-metal", "plaster-wall", "rocky-terrain")
-# Planning measures each effect of a scene: seconds that the default run has not.
-SLOW = ("brdffit plan", "brdffit bake --scene", "brdffit compare --scene")
+SETS = ("glossy-tiles", "grooved-record", "hammered-metal", "brushed-metal", "pebbles", "plaster-wall", "rocky-terrain")
+# Planning measures each effect of a scene, and a neural material is learned for minutes, before it is drawn.
+SLOW = ("brdffit plan", "brdffit bake --scene", "brdffit compare --scene", "brdffit neural")
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_commands_were_found():
     assert len(MAKE) + len(BRDFFIT) == len(COMMANDS)
     assert {"make bake", "make test"} <= set(MAKE)
     assert {line.split()[1] for line in BRDFFIT} == {
-        "bake", "compare", "doctor", "inspect", "landscape", "library", "methods", "models", "plan", "probe", "scene",
+        "bake", "compare", "doctor", "inspect", "landscape", "library", "methods", "models", "neural", "plan", "probe", "scene",
     }  # fmt: skip
 
 
