@@ -53,7 +53,8 @@ def test_commands_were_found():
     assert len(MAKE) + len(BRDFFIT) == len(COMMANDS)
     assert {"make bake", "make test"} <= set(MAKE)
     assert {line.split()[1] for line in BRDFFIT} == {
-        "bake", "compare", "doctor", "inspect", "landscape", "library", "methods", "models", "neural", "plan", "probe", "scene",
+        "bake", "compare", "doctor", "inspect", "landscape", "library", "methods", "models", "neural", "plan", "probe",
+        "scene",
     }  # fmt: skip
 
 

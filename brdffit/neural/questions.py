@@ -111,11 +111,14 @@ class Answers:
 def error_of(found: NDArray, truths: NDArray) -> tuple[float, float]:
     """(mean squared error, mean square of the truth), neither with the noise of the truth in it.
 
-    With two independent means t_1 and t_2 of the truth t, E[(f - t_1)(f - t_2)] = (f - t)^2 and E[t_1 t_2] = t^2.
+    With two independent means t_1 and t_2 of the truth t, E[(f - t_1)(f - t_2)] = (f - t)^2 and E[t_1 t_2] = t^2. An
+    error below its own standard error is told as that: samples so few know no smaller one.
 
     Args:
         found: (n, 3).
         truths: (2, n, 3), of ``Answers.twice``.
     """
-    error = float(np.mean((found - truths[0]) * (found - truths[1]), dtype=np.float64))
-    return max(error, 0.0), float(np.mean(truths[0] * truths[1], dtype=np.float64))
+    errors = ((found - truths[0]) * (found - truths[1])).astype(np.float64)
+    return max(float(errors.mean()), float(errors.std()) / math.sqrt(errors.size)), float(
+        np.mean(truths[0] * truths[1], dtype=np.float64)
+    )
