@@ -6,6 +6,7 @@ import pytest
 from brdffit.errors import InputError
 from brdffit.microgeometry.heightfield import HeightField, maximum_pyramid
 from brdffit.microgeometry.kernels.traversal import meet_rows
+from brdffit.microgeometry.queries import Queries, read_queries, write_queries
 from brdffit.microgeometry.tracer import NO_EFFECTS, Effects, Microgeometry
 from brdffit.models.microfacet import brdf
 from brdffit.roughness import tensor_from_log
@@ -296,3 +297,26 @@ def test_what_cannot_be_traced_is_refused_in_a_sentence(monkeypatch):
     monkeypatch.setattr("brdffit.microgeometry.heightfield._free_memory", lambda: 1000)
     with pytest.raises(InputError, match="needs about .* GiB of memory"):
         HeightField.of(base)
+
+
+def test_measured_queries_are_read_as_written_and_others_refused(tmp_path):
+    rng = np.random.default_rng(0)
+    light, view = hemisphere(rng, 9), hemisphere(rng, 9)
+    queries = Queries(rng.random((9, 2)), rng.random(9), light, view, rng.random((9, 3)), (4, 8))
+    write_queries(tmp_path / "good.npz", queries)
+    found = read_queries(tmp_path / "good.npz")
+    assert found.size == (4, 8)
+    for one, other in zip(found[:5], queries[:5], strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6)
+    for changes, word in (
+        ({"view": -view}, "below the plane"),
+        ({"value": rng.random((9, 1))}, r"expected \(9, 3\)"),
+        ({"sigma": np.full(9, np.nan)}, "no finite number"),
+        ({"size": np.array([4.5, 8.0])}, "height and width"),
+    ):
+        write_queries(tmp_path / "bad.npz", queries._replace(**changes))
+        with pytest.raises(InputError, match=word):
+            read_queries(tmp_path / "bad.npz")
+    (tmp_path / "bad.npz").write_bytes(b"PK no archive")
+    with pytest.raises(InputError, match="holds no queries"):
+        read_queries(tmp_path / "bad.npz")

@@ -6,9 +6,14 @@ about u on the reference plane, where the light from l gives that plane an irrad
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+import zipfile
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 from numpy.typing import NDArray
+
+from brdffit.errors import InputError
 
 
 @runtime_checkable
@@ -30,3 +35,62 @@ class QuerySource(Protocol):
             seed: two seeds are independent.
         """
         ...
+
+
+class Queries(NamedTuple):
+    """Measured queries of one material: what a goniometer, or another program, says of it.
+
+    Attributes:
+        position: (n, 2) float32, (column, row) in texels of the tile.
+        sigma: (n,) float32, standard deviation of the Gaussian in texels.
+        light, view: (n, 3) float32 unit vectors in tangent space, above the plane.
+        value: (n, 3) float32, M as above.
+        size: (height, width) of the tile in texels.
+    """
+
+    position: NDArray
+    sigma: NDArray
+    light: NDArray
+    view: NDArray
+    value: NDArray
+    size: tuple[int, int]
+
+
+_WIDTHS = {"position": (2,), "sigma": (), "light": (3,), "view": (3,), "value": (3,)}
+
+
+def write_queries(path: str | Path, queries: Queries) -> None:
+    """An .npz of the arrays of ``Queries`` by their names."""
+    arrays: dict[str, Any] = {name: np.asarray(array) for name, array in queries._asdict().items()}
+    np.savez_compressed(path, **arrays)
+
+
+def read_queries(path: str | Path) -> Queries:
+    """Queries of an .npz with the arrays of ``Queries`` by their names.
+
+    Raises:
+        InputError: when the file cannot be read, an array is missing or of another shape, or its numbers are none of
+            directions above the plane.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = {name: np.asarray(file[name]) for name in Queries._fields}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"'{path}' holds no queries ({error}): expected {', '.join(Queries._fields)}.") from error
+    count = len(found["position"]) if found["position"].ndim else 0
+    arrays = {}
+    for name, width in _WIDTHS.items():
+        array = found[name]
+        if array.shape != (count, *width) or not count:
+            raise InputError(f"'{path}': {name} has the shape {array.shape}, expected {(count or 'n', *width)}.")
+        if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+            raise InputError(f"'{path}': {name} holds what is no finite number.")
+        arrays[name] = array.astype(np.float32)
+    size = found["size"].ravel()
+    if size.size != 2 or size.dtype.kind not in "iu" or size.min() < 1:
+        raise InputError(f"'{path}': size is {size.tolist()}, expected the height and width of the tile in texels.")
+    for name in ("light", "view"):
+        length = np.linalg.norm(arrays[name], axis=1)
+        if np.abs(length - 1.0).max() > 1e-3 or arrays[name][:, 2].min() < 0.0:
+            raise InputError(f"'{path}': {name} holds vectors that are not of length 1, or point below the plane.")
+    return Queries(**arrays, size=(int(size[0]), int(size[1])))
