@@ -174,8 +174,8 @@ def compare(
     **asked: Any,
 ) -> None:  # fmt: skip
     """Bake each SET by every method, hold them against the reference, and write a report."""
-    from brdffit.comparison.ask import Ask
     from brdffit.comparison.console import compare_to_folder, print_summary, redraw
+    from brdffit.comparison.options import CompareOptions
 
     if bool(sources) + bool(records) + bool(scene_file) != 1:
         raise click.UsageError("Give texture sets to compare, or --scene FILE, or --from FILE to draw a report anew.")
@@ -189,13 +189,16 @@ def compare(
         refuse_beside_scene(context, ("scene_file", "output", "methods", "quick", "threads"))
         page = compare_by_plan(scene_file, output or "report", **given)
     else:
-        ask = dataclasses.replace(Ask.of(reading=reading, **given), neural=neural)
+        chosen = dataclasses.replace(CompareOptions.of(reading=reading, **given), neural=neural)
         make = None
         if truth == "microgeometry":
             from brdffit.comparison.traced import traced_truth, with_truth
 
-            ask, make = with_truth(ask), functools.partial(traced_truth, bounces=bounces, threads=given.get("threads"))
-        page = compare_to_folder(sources, output or "report", ask, make)
+            chosen, make = (
+                with_truth(chosen),
+                functools.partial(traced_truth, bounces=bounces, threads=given.get("threads")),
+            )
+        page = compare_to_folder(sources, output or "report", chosen, make)
     print_summary(page)
 
 

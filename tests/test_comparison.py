@@ -7,11 +7,11 @@ from report_support import comparison as handmade
 
 from brdffit.cli import main
 from brdffit.comparison import views
-from brdffit.comparison.ask import Ask, variant
 from brdffit.comparison.compare import _free_name, _name, compare
 from brdffit.comparison.lobes import SIDE, lobe_view, representative_texels, same_place
 from brdffit.comparison.maps import TILE, map_strip
-from brdffit.comparison.one_set import SetWork
+from brdffit.comparison.options import CompareOptions, variant
+from brdffit.comparison.set_comparison import SetComparison
 from brdffit.comparison.surroundings import read_environment
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.files.image_io import write_png
@@ -39,7 +39,7 @@ def material(size=(16, 16), bumps=0.0, seed=3):
 
 
 def small_ask(*methods, **options):
-    return Ask(methods=methods, options={"quality": "draft", "threads": 1, **options}, **SMALL)
+    return CompareOptions(methods=methods, options={"quality": "draft", "threads": 1, **options}, **SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_level_0_is_shown_filtered_and_as_authored(bumpy):
 
 @pytest.mark.parametrize(("options", "kept"), [({}, ["naive" + KEPT_SUFFIX]), ({"keep_level_0": True}, [])])
 def test_nothing_is_kept_twice(options, kept):
-    work = SetWork("set", material(), small_ask("naive", **options), ["naive"], studio(), None)
+    work = SetComparison("set", material(), small_ask("naive", **options), ["naive"], studio(), None)
     assert list(work._kept([work.base, material((8, 8))], "naive")) == kept
 
 
@@ -156,14 +156,14 @@ def test_a_set_is_called_as_its_folder(tmp_path):
 
 
 def test_what_is_asked():
-    ask = Ask.of(methods=["bfgs,naive", "lean", "naive"], quick=True, quality="fine")
+    ask = CompareOptions.of(methods=["bfgs,naive", "lean", "naive"], quick=True, quality="fine")
     assert ask.methods == ("bfgs", "naive", "lean")
-    assert ask.pixels < Ask().pixels and ask.options == {"quality": "fine"}
-    assert Ask.of(quick=True).options == {"quality": "draft"}
+    assert ask.pixels < CompareOptions().pixels and ask.options == {"quality": "fine"}
+    assert CompareOptions.of(quick=True).options == {"quality": "draft"}
     with pytest.raises(UnknownNameError, match="naive"):
-        Ask.of(methods=["naiv"])
+        CompareOptions.of(methods=["naiv"])
     with pytest.raises(UnknownNameError, match="did you mean 'held'"):
-        Ask.of(methods=["bfgs+hold"])
+        CompareOptions.of(methods=["bfgs+hold"])
 
 
 def test_a_variant_is_the_method_with_another_option():

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from brdffit.comparison.ask import Ask
 from brdffit.comparison.compare import compare
+from brdffit.comparison.options import CompareOptions
 from brdffit.comparison.traced import METHODS, traced_truth, with_truth
 from brdffit.errors import InputError
 from brdffit.report.page import render_page
@@ -15,7 +15,12 @@ from brdffit.report.summary import level_table
 from tests.test_microgeometry import bumps, material
 
 ASK = dataclasses.replace(
-    Ask.of(methods=["naive", "lean"], quick=True), pixels=32, texels=4, pairs=16, lobes=1, lit=("small lights",)
+    CompareOptions.of(methods=["naive", "lean"], quick=True),
+    pixels=32,
+    texels=4,
+    pairs=16,
+    lobes=1,
+    lit=("small lights",),
 )
 
 
@@ -42,5 +47,5 @@ def test_a_set_without_a_height_is_refused():
 
 
 def test_methods_of_the_table_stand_where_none_are_named():
-    assert with_truth(Ask()).methods == METHODS
+    assert with_truth(CompareOptions()).methods == METHODS
     assert with_truth(ASK).methods == ("naive", "lean")

@@ -7,8 +7,8 @@ import pytest
 from export_support import random_svbrdf
 
 from brdffit.appearance import Truth, bilinear
-from brdffit.comparison.ask import Ask
 from brdffit.comparison.compare import compare
+from brdffit.comparison.options import CompareOptions
 from brdffit.errors import InputError
 from brdffit.models.microfacet import brdf
 from brdffit.render import lights, scenes
@@ -123,8 +123,8 @@ def test_what_a_truth_cannot_do_is_said():
 def test_a_comparison_with_another_truth():
     """Its figures are those against the maps, if the truth is the maps; half-angle figures stay as they are."""
     base = material()
-    ask = Ask.of(methods=["naive,lean"], quick=True, keep_level_0=True)
-    ask = Ask(**{**vars(ask), "pixels": 32, "frames": 4, "pairs": 512})
+    ask = CompareOptions.of(methods=["naive,lean"], quick=True, keep_level_0=True)
+    ask = CompareOptions(**{**vars(ask), "pixels": 32, "frames": 4, "pairs": 512})
     plain, hidden = (compare([base], ask, truth=truth)[0].sets[0] for truth in (None, lambda read: Hidden(read.svbrdf)))
     assert any("Hidden" in note for note in hidden.notes) and not any("Hidden" in note for note in plain.notes)
     for one, other in zip(plain.methods, hidden.methods, strict=True):

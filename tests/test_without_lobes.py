@@ -13,8 +13,8 @@ from matt_method import MattOptions
 
 from brdffit import bake
 from brdffit.cli import main
-from brdffit.comparison.ask import Ask
 from brdffit.comparison.compare import compare
+from brdffit.comparison.options import CompareOptions
 from brdffit.files.image_io import read_image, read_mip_exr
 from brdffit.pipeline import bake_to_folder
 from brdffit.report.records import read_records
@@ -54,7 +54,7 @@ def test_the_command_bakes_and_prints_it(folder, tmp_path):
 
 
 def test_it_is_compared_with_the_others(folder, tmp_path):
-    ask = Ask(methods=("naive", MATT), pixels=12, frames=4, texels=4, pairs=16, lobes=2, samples="draft")
+    ask = CompareOptions(methods=("naive", MATT), pixels=12, frames=4, texels=4, pairs=16, lobes=2, samples="draft")
     comparison, pictures = compare([folder], ask)
     (result,) = comparison.sets
     naive, matt = result.methods
@@ -77,7 +77,7 @@ def test_a_library_holds_it(folder, tmp_path, monkeypatch):
 
 def test_records_of_levels_that_are_seen_can_be_read_again(folder, tmp_path):
     """What a scene asks for, the first and last level, is several numbers; records hold one value each."""
-    ask = Ask(methods=("naive",), pixels=12, frames=4, texels=4, pairs=16, lobes=2, samples="draft",
+    ask = CompareOptions(methods=("naive",), pixels=12, frames=4, texels=4, pairs=16, lobes=2, samples="draft",
               options={"fit.reach": (1, 2)})  # fmt: skip
     page = write_report(*compare([folder], ask), tmp_path / "report")
     assert read_records(page.with_name("records.json")).options["reach"] == "1,2"

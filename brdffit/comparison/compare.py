@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
-from brdffit.comparison.one_set import MakeTruth, SetWork, fit_of
+from brdffit.comparison.options import CompareOptions, Listener, PictureFiles, variant
+from brdffit.comparison.set_comparison import MakeTruth, SetComparison, fit_of
 from brdffit.comparison.surroundings import read_environment
 from brdffit.comparison.traced import NEURAL, NEURAL_SUMMARY
 from brdffit.comparison.views import Studio
@@ -29,7 +29,7 @@ from brdffit.textures.texture_set import TextureSet
 
 def compare(
     sources: Sequence[str | os.PathLike[str] | TextureSet | Svbrdf],
-    ask: Ask | Sequence[Ask] = Ask(),  # noqa: B008
+    asked: CompareOptions | Sequence[CompareOptions] = CompareOptions(),  # noqa: B008
     *,
     truth: MakeTruth | None = None,
     command: str = "",
@@ -39,7 +39,7 @@ def compare(
 
     Args:
         sources: folders of textures, .gltf, .glb or .mtlx files, TextureSets or Svbrdfs.
-        ask: what, and how closely; one for all sets, or one for each (of the same methods).
+        asked: what, and how closely; one for all sets, or one for each (of the same methods).
         truth: makes what pictures and pairs of light and viewer are compared with, of a set as it was read; None: its
             SVBRDF.
         command: that does the same again, for the record.
@@ -53,41 +53,44 @@ def compare(
         UnknownNameError: for an unknown name.
     """
     began = time.perf_counter()
-    asks = [ask] * len(sources) if isinstance(ask, Ask) else list(ask)
-    ask = asks[0]
-    methods = list(ask.methods) or method_names()
+    asked_of_each = [asked] * len(sources) if isinstance(asked, CompareOptions) else list(asked)
+    asked = asked_of_each[0]
+    methods = list(asked.methods) or method_names()
     results: list[SetResult] = []
     pictures: PictureFiles = {}
     for number, source in enumerate(sources):
         name = _free_name(_name(source, number), [result.name for result in results])
-        work = SetWork(name, source, asks[number], methods, _studio(asks[number]), listener, truth)
+        work = SetComparison(
+            name, source, asked_of_each[number], methods, _studio(asked_of_each[number]), listener, truth
+        )
         results.append(work.run())
         pictures.update(work.pictures)
-    options: dict[str, Any] = {name: _plain(value) for name, value in asdict(ask.shared).items()}
+    options: dict[str, Any] = {name: _plain(value) for name, value in asdict(asked.shared).items()}
     comparison = Comparison(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         command=command,
-        machine=machine() | {"threads": ask.shared.threads or os.cpu_count()},
+        machine=machine() | {"threads": asked.shared.threads or os.cpu_count()},
         options={
-            **options, "environment": Path(ask.environment).name if ask.environment else "procedural",
-            "pixels": ask.pixels, "frames": ask.frames, "texels": ask.texels, "pairs": ask.pairs,
-            "samples": ask.samples,
+            **options, "environment": Path(asked.environment).name if asked.environment else "procedural",
+            "pixels": asked.pixels, "frames": asked.frames, "texels": asked.texels, "pairs": asked.pairs,
+            "samples": asked.samples,
         },
         methods=[
-            MethodInfo(name=name, summary=variant(name, ask.options)[0].summary, fit=name == fit_of(methods))
+            MethodInfo(name=name, summary=variant(name, asked.options)[0].summary, fit=name == fit_of(methods))
             for name in methods
-        ] + ([MethodInfo(name=NEURAL, summary=NEURAL_SUMMARY)] if ask.neural else []),
+        ] + ([MethodInfo(name=NEURAL, summary=NEURAL_SUMMARY)] if asked.neural else []),
         sets=results,
         seconds=time.perf_counter() - began,
     )  # fmt: skip
     return comparison, pictures
 
 
-def _studio(ask: Ask) -> Studio:
+def _studio(asked: CompareOptions) -> Studio:
     return Studio(
-        pixels=ask.pixels, frames=ask.frames, samples=ask.samples, environment=read_environment(ask.environment),
-        lights=ask.lights or light_sets.few(), lit=ask.lit, terms=ask.terms, reach=ask.shared.reach,
-        pixel_filter=ask.shared.pixel_filter, threads=ask.shared.threads,
+        pixels=asked.pixels, frames=asked.frames, samples=asked.samples,
+        environment=read_environment(asked.environment),
+        lights=asked.lights or light_sets.few(), lit=asked.lit, terms=asked.terms, reach=asked.shared.reach,
+        pixel_filter=asked.shared.pixel_filter, threads=asked.shared.threads,
     )  # fmt: skip
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.appearance import Truth
-from brdffit.comparison.ask import SMALL_LIGHTS, Ask
-from brdffit.comparison.views import Drawn, Still, Studio, Told, pictures_of, take, view_of
+from brdffit.comparison.options import SMALL_LIGHTS, CompareOptions
+from brdffit.comparison.views import Announce, Drawn, Still, Studio, pictures_of, take, view_of
 from brdffit.methods import Baked, Material
 from brdffit.microgeometry.tracer import Effects, Microgeometry
 from brdffit.options import BakeOptions
@@ -57,13 +57,13 @@ def neural_result(path: str, size: tuple[int, int]) -> Baked:
     return Baked(NEURAL, BakeOptions(), read_material(Path(path), size))
 
 
-def with_truth(ask: Ask) -> Ask:
+def with_truth(asked: CompareOptions) -> CompareOptions:
     """What is asked of a comparison with a traced height, where nothing else is said."""
-    return ask if ask.methods else dataclasses.replace(ask, methods=METHODS)
+    return asked if asked.methods else dataclasses.replace(asked, methods=METHODS)
 
 
 def tilted_views(
-    truth: Svbrdf | Truth, drawn: Drawn, depth: int, studio: Studio, told: Told = lambda what: None
+    truth: Svbrdf | Truth, drawn: Drawn, depth: int, studio: Studio, announce: Announce = lambda what: None
 ) -> Iterator[tuple[View, dict[str, NDArray]]]:
     """A view of each level at 45 degrees, with its pictures as ``views.all_views`` has them.
 
@@ -75,7 +75,7 @@ def tilted_views(
     one = dataclasses.replace(studio, lights=light, lit=(SMALL_LIGHTS,))
     side = max(studio.pixels // 2, 16)
     for level in range(min(depth, _LEVELS)):
-        told(f"level {level} at {_TILT:g} degrees")
+        announce(f"level {level} at {_TILT:g} degrees")
         scene = tilted(truth.size, level, (side, side), _TILT)
         still = Still(
             f"level-{level}", LEVEL_GROUP, f"Level {level} at {_TILT:g} degrees", scene, SMALL_LIGHTS, "", level

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.appearance import Appearance, Truth
-from brdffit.comparison.ask import ENVIRONMENT, LAMPS, LIGHTINGS, SMALL_LIGHTS
+from brdffit.comparison.options import ENVIRONMENT, LAMPS, LIGHTINGS, SMALL_LIGHTS
 from brdffit.render import lights as light_sets
 from brdffit.render import metrics, scenes
 from brdffit.render.environment import Environment
@@ -99,8 +99,8 @@ class Studio:
 Pyramids = Mapping[str, Sequence[Svbrdf]]
 #: Results as they are drawn: levels of lobes, or an appearance, by the name of the method.
 Drawn = Mapping[str, Sequence[Svbrdf] | Appearance]
-#: told(what): a picture is about to be rendered.
-Told = Callable[[str], None]
+#: announce(what): a picture is about to be rendered.
+Announce = Callable[[str], None]
 
 
 def distances_of(
@@ -149,7 +149,12 @@ def still_views(base_size: tuple[int, int], depth: int, studio: Studio) -> list[
 
 
 def all_views(
-    base: Svbrdf | Truth, pyramids: Drawn, kept: Pyramids, depth: int, studio: Studio, told: Told = lambda what: None
+    base: Svbrdf | Truth,
+    pyramids: Drawn,
+    kept: Pyramids,
+    depth: int,
+    studio: Studio,
+    announce: Announce = lambda what: None,
 ) -> Iterator[tuple[View, dict[str, NDArray]]]:
     """Every view of a set with its pictures by name ("reference" and methods), displayed, (h, w, 3) float32 in [0, 1].
 
@@ -164,23 +169,23 @@ def all_views(
     views = still_views(base.size, depth, studio)
     first: dict[str, NDArray] = {}  # what half a pixel is held against
     for still in (each for each in views if each.group == "distance"):
-        told(f"{still.distance}, {still.lit}")
+        announce(f"{still.distance}, {still.lit}")
         taken = take(base, {**pyramids, **kept} if still.level == 0 else pyramids, still.scene, still.lit, studio)
         if still.distance == "near" and still.lit == main:
             first = taken.pictures()
         view = view_of(still, taken)
         yield view, pictures_of(taken, view.exposure)
 
-    told("half a pixel")
+    announce("half a pixel")
     shown = {**pyramids, **kept} if near == 0 else pyramids
     moved = scenes.plane(base.size, near, _pixels(studio, main), shift=_HALF_PIXEL)
     yield _shift_view(first, take(base, shown, moved, main, studio).pictures(), near, main)
 
-    told("slow rotation")
+    announce("slow rotation")
     yield _rotation_view(base, shown, studio, near)
 
     for still in (each for each in views if each.group == "scene"):
-        told(still.scene.name)
+        announce(still.scene.name)
         taken = take(base, pyramids, still.scene, still.lit, studio)
         view = view_of(still, taken)
         yield view, pictures_of(taken, view.exposure)

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from brdffit.comparison.ask import ENVIRONMENT, SMALL_LIGHTS, Ask
+from brdffit.comparison.options import ENVIRONMENT, SMALL_LIGHTS, CompareOptions
 from brdffit.methods import Baked
 from brdffit.pipeline import BakeReport, ProgressListener, bake_to_folder
 from brdffit.planning.description import PROCEDURAL, SceneFile
@@ -70,21 +70,21 @@ def bake_scene(
 
 def comparisons(
     scene: SceneFile, plan: Plan, *, methods: Sequence[str] = (), quick: bool = False, threads: int | None = None
-) -> tuple[list[TextureSet], list[Ask]]:
+) -> tuple[list[TextureSet], list[CompareOptions]]:
     """The surfaces of a scene, and what a comparison is asked of each: no more than its plan has on.
 
     Args:
-        methods, quick, threads: as ``Ask.of``.
+        methods, quick, threads: as ``CompareOptions.of``.
 
     Raises:
         InputError: for a set that cannot be read.
     """
-    sources, asks = [], []
+    sources, asked = [], []
     for surface, planned in zip(scene.surfaces, plan.surfaces, strict=True):
         lit = [SMALL_LIGHTS] if scene.lights else []
-        usual = Ask.of(methods=methods, quick=quick, threads=threads)
+        usual = CompareOptions.of(methods=methods, quick=quick, threads=threads)
         sources.append(texture_set_of(surface))
-        asks.append(
+        asked.append(
             dataclasses.replace(
                 usual,
                 environment=None if scene.environment == PROCEDURAL else scene.environment,
@@ -95,7 +95,7 @@ def comparisons(
                 options={**planned.options, "threads": threads},
             )
         )
-    return sources, asks
+    return sources, asked
 
 
 def _notes(work: SurfaceWork, planned: SurfacePlan, baked: Baked, seconds: float) -> dict[str, Any]:

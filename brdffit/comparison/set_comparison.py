@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.appearance import Truth
-from brdffit.comparison.ask import Ask, Listener, PictureFiles, variant
 from brdffit.comparison.lobes import lobe_view, model_of, representative_texels, same_place
 from brdffit.comparison.maps import map_strip
+from brdffit.comparison.options import CompareOptions, Listener, PictureFiles, variant
 from brdffit.comparison.traced import NEURAL, neural_result, tilted_views
 from brdffit.comparison.views import Pyramids, Studio, all_views, distances_of
 from brdffit.errors import InputError
@@ -52,20 +52,20 @@ def fit_of(methods: Sequence[str]) -> str:
     return DEFAULT if DEFAULT in methods else methods[0]
 
 
-class SetWork:
+class SetComparison:
     """One set: what is read, baked, measured and rendered, with the seconds of each."""
 
     def __init__(
-        self, name: str, source: Any, ask: Ask, methods: Sequence[str], studio: Studio, listener: Listener | None,
-        truth: MakeTruth | None = None,
+        self, name: str, source: Any, asked: CompareOptions, methods: Sequence[str], studio: Studio,
+        listener: Listener | None, truth: MakeTruth | None = None,
     ) -> None:  # fmt: skip
-        self.name, self.ask, self.methods, self.studio, self.listener = name, ask, methods, studio, listener
+        self.name, self.asked, self.methods, self.studio, self.listener = name, asked, methods, studio, listener
         self.seconds: dict[str, float] = {}
         self.pictures: PictureFiles = {}
         self.skipped: list[Skipped] = []
-        self.options = ask.shared
+        self.options = asked.shared
         with self._phase("reading"):
-            self.read = read_set(source, ask.reading, self.options)
+            self.read = read_set(source, asked.reading, self.options)
             # What is rendered and measured; a cut-out is seen before a black ground.
             self.base = self.read.material.svbrdf.over_black()
             # What pictures and pairs are compared with.
@@ -78,8 +78,8 @@ class SetWork:
         pyramids = {name: [level.svbrdf.over_black() for level in pyramid.levels] for name, pyramid in lobes_of.items()}
         # What is no pyramid of lobes is drawn by what it says of itself.
         drawn = {name: pyramids.get(name, each.appearance) for name, each in baked.items()}
-        if self.ask.neural is not None:
-            baked[NEURAL] = neural_result(self.ask.neural, self.base.size)
+        if self.asked.neural is not None:
+            baked[NEURAL] = neural_result(self.asked.neural, self.base.size)
             seconds[NEURAL], drawn[NEURAL] = 0.0, baked[NEURAL].appearance
         fit = fit_of(list(baked))
         depth = min(len(each.sizes) for each in baked.values())
@@ -159,9 +159,9 @@ class SetWork:
         baked: dict[str, Baked] = {}
         seconds: dict[str, float] = {}
         for number, name in enumerate(self.methods):
-            method, options = variant(name, self.ask.options)
+            method, options = variant(name, self.asked.options)
             base = self.read.material.svbrdf
-            base = base.without(self.ask.unread) if name == fit_of(self.methods) else base
+            base = base.without(self.asked.unread) if name == fit_of(self.methods) else base
             read = ReadSet(self.name, Material(base))
             phases = Phases(self.listener)
             self._tell(f"baking by {name} ({number + 1} of {len(self.methods)})")
@@ -181,7 +181,7 @@ class SetWork:
 
     def _trained(self, name: str) -> list[str]:
         """What a method says of its training, which is no part of its seconds."""
-        method, options = variant(name, self.ask.options)
+        method, options = variant(name, self.asked.options)
         said = method.trained(options) if isinstance(method, LobeMethod) else ""
         return [said] if said else []
 
@@ -220,8 +220,8 @@ class SetWork:
             of_level: dict[str, float] = {}
             for names in _by_model({name: levels[k] for name, levels in pyramids.items()}):
                 errors, power = pair_errors(
-                    self.truth, [pyramids[name][k] for name in names], columns, rows, pairs=self.ask.pairs, seed=k,
-                    terms=self.ask.terms, pixel_filter=options.pixel_filter, samples="draft",
+                    self.truth, [pyramids[name][k] for name in names], columns, rows, pairs=self.asked.pairs, seed=k,
+                    terms=self.asked.terms, pixel_filter=options.pixel_filter, samples="draft",
                     threads=options.threads,
                 )  # fmt: skip
                 of_level |= dict(zip(names, map(capped, metrics.snr_of_errors(errors, power).tolist()), strict=True))
@@ -234,7 +234,7 @@ class SetWork:
         depth = _depth(pyramids)
         shown = list(dict.fromkeys(min(level, depth - 1) for level in _LOBE_LEVELS))
         middle = shown[len(shown) // 2]
-        texels = representative_texels(measured[middle][fit].error, *self._texels(middle), self.ask.lobes)
+        texels = representative_texels(measured[middle][fit].error, *self._texels(middle), self.asked.lobes)
         sizes = level_sizes(self.base.size, depth)
         views = []
         for k in shown:
@@ -257,7 +257,7 @@ class SetWork:
         return self._store("overview", metrics.tone_map(radiance, metrics.exposure_of(radiance)))
 
     def _texels(self, k: int) -> tuple[NDArray, NDArray]:
-        return random_texels(level_sizes(self.base.size)[k], self.ask.texels, seed=k)
+        return random_texels(level_sizes(self.base.size)[k], self.asked.texels, seed=k)
 
     def _path(self, name: str) -> str:
         return f"{PICTURES}/{self.name}/{name.replace(':', '.').replace(' ', '-').replace(',', '')}.png"
@@ -274,8 +274,8 @@ class SetWork:
             self.listener.phase(f"{self.name}: {what}")
 
     @contextmanager
-    def _phase(self, name: str, told: str | None = None) -> Iterator[None]:
-        self._tell(told or name)
+    def _phase(self, name: str, description: str | None = None) -> Iterator[None]:
+        self._tell(description or name)
         start = time.perf_counter()
         try:
             yield

@@ -1,4 +1,4 @@
-"""What a comparison is asked to do, and who listens."""
+"""Options of a comparison, and who listens to it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SMALL_LIGHTS, LAMPS, ENVIRONMENT = LIGHTINGS = "small lights", "lamps", "environ
 
 
 @dataclass(frozen=True)
-class Ask:
+class CompareOptions:
     """What is compared, and how closely.
 
     Attributes:
@@ -64,7 +64,7 @@ class Ask:
         environment: str | None = None,
         reading: Mapping[str, Any] | None = None,
         **options: Any,
-    ) -> Ask:
+    ) -> CompareOptions:
         """As the command line says it; ``quick`` is the preset for a look: small pictures, few samples, draft fit.
 
         Raises:
