@@ -180,7 +180,7 @@ def studio():
 def test_frames_side_by_side_are_the_frames():
     base, angles = material(bumps=0.2), [0.0, 0.3, 0.9]
     parts = [scenes.plane(base.size, 0, (12, 1), rotation=angle) for angle in angles]
-    together = studio().method([base], views._side_by_side(parts), views.SMALL_LIGHTS)
+    together = studio().method([base], scenes.side_by_side(parts), views.SMALL_LIGHTS)
     apart = [studio().method([base], part, views.SMALL_LIGHTS) for part in parts]
     assert np.array_equal(together, np.concatenate(apart, axis=2))
     assert not np.array_equal(apart[0], apart[2])
