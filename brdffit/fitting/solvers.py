@@ -30,7 +30,7 @@ from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import Base, Strata
 from brdffit.halfangle.closed_forms import PEAK, STARTS, STEEPEST_SLOPE
 from brdffit.halfangle.lights import BASE_BLUR, EVALUATION, POINT, evaluate_table, table_of
-from brdffit.halfangle.measure import DENSE_ROOM, DENSE_SAMPLES, dense_strata, target_table
+from brdffit.halfangle.measure import DENSE_ROOM, DENSE_SAMPLES, STARTS_AT, dense_strata, target_table
 from brdffit.halfangle.objective import FREE, HELD, LOG_LOW, PARAMETERS, SETTINGS, SHAPE_HIGH
 from brdffit.halfangle.quadrature import BLUE, GREEN, H_X, H_Y, H_Z, LOBE_COLUMNS, NODE_ROWS, RED, WEIGHT, lattice
 
@@ -103,7 +103,7 @@ class Problem:
                 self.kernels.source_log_normalisation,
             )  # fmt: skip
             if s == 0:
-                starts = self.work[18 : 18 + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS).copy()
+                starts = self.work[STARTS_AT : STARTS_AT + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS).copy()
         share_out(self.table)
         self.report[TARGET_NORM] = norm if len(self.sizes) == 1 else target_norm(self.table)
         self.set_colour(np.array([red, green, blue]))

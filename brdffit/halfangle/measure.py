@@ -53,6 +53,8 @@ DENSE_NODES = 4096
 DENSE_SAMPLES = (32, 128)
 #: Lobe widths that the normal may turn from one sample to the next, and room for cut strata, times the samples.
 DENSE_STEP, DENSE_ROOM = 0.7, 3
+#: Where ``target_table`` leaves the closed forms in its work array, behind nine sums and the diffuse moment.
+STARTS_AT = 9 + DIFFUSE_MOMENT
 
 #: SNR in dB above which levels are equally good: errors below 1e-5 of the light show in no picture, and sums in single
 #: precision hardly tell them apart.
@@ -96,7 +98,7 @@ def target_table(base, strata, points, column, row, exponent, light, lobes, node
 
     Where nothing is reflected T is 0, and <T,T> that of the same lobes in white: errors stay relative to something.
     """
-    moment, starts = work[9 : 9 + DIFFUSE_MOMENT], work[24 : 24 + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS)
+    moment, starts = work[9:STARTS_AT], work[STARTS_AT : STARTS_AT + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS)
     count, spread = gather_lobes(base, strata, DENSE_STEP, column, row, lobes, moment)
     red, green, blue, some = normalise_mixture(lobes, count)
     isotropic = base.isotropic
