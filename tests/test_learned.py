@@ -1,5 +1,6 @@
 """Learned modes: moments against a slow oracle, gradients against differences, what the methods promise, training."""
 
+import copy
 import math
 
 import numpy as np
@@ -35,7 +36,7 @@ from brdffit.learned.method import Learned
 from brdffit.learned.mipnet_method import Mipnet
 from brdffit.learned.network import SHIPPED, ResidualNetwork, difference, load_network
 from brdffit.learned.residual_training import loss_of
-from brdffit.methods import Material
+from brdffit.methods import Material, get_method
 from brdffit.nets.adam import Adam
 from brdffit.svbrdf import Svbrdf
 
@@ -435,25 +436,30 @@ def test_the_shipped_network_beats_its_closed_form():
 
 
 def test_the_latent_decodes_either_model_of_either_base():
-    """The lobe that is said has the energy of its model: Beckmann's is wider at the same highlight."""
+    """Its two decoders differ as the fits of the two models do, at a level that is still sharp."""
     for source in MODELS:
-        base = bumpy(32).replace(model=source)
-        same, other = (
-            bake(base, "latent", model=model).levels[2].svbrdf for model in (source, *set(MODELS) - {source})
+        material = Material(bumpy(32).replace(model=source))
+        said, fitted = (
+            [method.bake(material, method.options(model=model, **more)).lobes.levels[1].svbrdf for model in MODELS]
+            for method, more in ((Latent(), {}), (get_method("bfgs"), {"lights": "point"}))
         )
-        assert same.model == source and other.model != source
-        wider = float((other.log_roughness - same.log_roughness)[..., :2].mean())
-        assert (wider > 0.0) == (source == "ggx")
+        assert [each.model for each in said] == list(MODELS)
+        apart, truly = (float((two.log_roughness - one.log_roughness)[..., :2].mean()) for one, two in (said, fitted))
+        assert truly < -0.05 and apart == pytest.approx(truly, abs=0.05)
 
 
-def test_what_is_said_in_one_pass_is_what_the_network_says():
+def test_what_is_said_in_one_pass_is_what_the_network_says(monkeypatch):
     """Coloured, anisotropic lobes, rows that fill no vector: the kernel against its parts in numpy."""
     rng = np.random.default_rng(30)
     svbrdf = bumpy(44, steepness=0.2)
     svbrdf.specular[:] *= rng.uniform(0.1, 1.0, svbrdf.specular.shape)
     svbrdf.log_roughness[..., 2] = 0.3
     svbrdf = svbrdf.replace(diffuse=rng.uniform(0.0, 0.5, svbrdf.diffuse.shape).astype(np.float32))
-    network, _ = load_network(SHIPPED)
+    network, meta = load_network(SHIPPED)
+    # Few of the sets that it was trained on are anisotropic: its answers are compared, not how good they are.
+    network = copy.deepcopy(network)  # the loaded one is kept for all
+    network.low[:], network.high[:] = -np.inf, np.inf
+    monkeypatch.setattr("brdffit.learned.method.load_network", lambda path: (network, meta))
     pyramid, base = bake(svbrdf, "learned"), base_of(svbrdf)
     for level in (0, 1, 2):  # 44, 22, 11
         side = 44 >> level

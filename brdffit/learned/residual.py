@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.halfangle.closed_forms import STEEPEST_SLOPE
-from brdffit.learned.kernels.moments import FIRST, LOG_TENSOR, NORMAL, ROOTS, SECOND
+from brdffit.learned.kernels.moments import FIRST, LOG_TENSOR, NORMAL, ROOTS, SECOND, TURN
 
 #: Numbers of a correction.
 CORRECTIONS = 5
@@ -27,10 +27,8 @@ FIRST_ODD, SECOND_ODD = (0, 4), (1, 4)
 def _axes(closed: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Columns: sqrt(l_1) p and sqrt(l_2) q (n, 3), and cos and sin of p in the tangent plane (n,)."""
     p, q = closed[:, FIRST : FIRST + 3], closed[:, SECOND : SECOND + 3]
-    n = closed[:, NORMAL : NORMAL + 3]
-    # p = cos t + sin b, with t and b of ``tangent_frame``: its x and y, less what the tilt takes.
-    k = p[:, 2] / (1.0 + n[:, 2])
-    cos, sin = p[:, 0] + n[:, 0] * k, p[:, 1] + n[:, 1] * k
+    # p = cos t + sin b, with t and b of ``tangent_frame``.
+    cos, sin = closed[:, TURN], closed[:, TURN + 1]
     return closed[:, ROOTS, None] * p, closed[:, ROOTS + 1, None] * q, cos, sin
 
 
