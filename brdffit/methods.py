@@ -15,9 +15,10 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.errors import UnknownNameError
+from brdffit.errors import OutputError, UnknownNameError
 from brdffit.options import BakeOptions, LobeOptions
 from brdffit.roughness import tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -164,6 +165,21 @@ class Baked:
     def wrap(self) -> str:
         """How it goes on beyond its border: "tile" or "clamp"."""
         return getattr(self.appearance, "wrap", "tile") if self.lobes is None else self.lobes[0].svbrdf.wrap
+
+    def check_finite(self, name: str) -> None:
+        """Refuse lobes that are no finite numbers, which would spread over a whole picture.
+
+        Raises:
+            OutputError: with the name of the set, the level and how many of its texels.
+        """
+        for mip_level, level in enumerate(self.lobes.levels if self.lobes is not None else ()):
+            if not level.svbrdf.is_finite():
+                flat = [array.reshape(*level.svbrdf.size, -1) for array in level.svbrdf.arrays().values()]
+                wrong = np.count_nonzero(~np.isfinite(np.concatenate(flat, axis=2)).all(axis=2))
+                raise OutputError(
+                    f"{name}: method '{self.method}' made {wrong} texels of level {mip_level} that are not finite "
+                    "numbers; nothing was written. This is a fault of the method."
+                )
 
     def images(self) -> list[Image]:
         """The pictures that hold the result exactly: what is exported."""

@@ -264,11 +264,17 @@ def read_set(
 
 
 def run(read: ReadSet, method: Method, options: BakeOptions, phases: Phases) -> Baked:
-    """Prepare apart, then bake."""
+    """Prepare apart, then bake.
+
+    Raises:
+        OutputError: for lobes that are not finite numbers.
+    """
     with phases("compiling"):
         method.prepare(read.material, options)
     with phases("fitting"):
-        return method.bake(read.material, options, phases.progress)
+        baked = method.bake(read.material, options, phases.progress)
+        baked.check_finite(read.name)
+        return baked
 
 
 def assess(material: Material, baked: Baked, texels: int = _REPORT_TEXELS) -> list[dict[str, Any]]:

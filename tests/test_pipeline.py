@@ -13,7 +13,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from brdffit.errors import UnknownNameError
+from brdffit.errors import OutputError, UnknownNameError
 from brdffit.files.image_io import write_png
 from brdffit.methods import get_method, lobe_method_names
 from brdffit.models import model_names
@@ -182,3 +182,21 @@ def test_a_run_that_compiles_and_one_that_loads_give_the_same_bytes(tmp_path):
         for _ in range(2)
     ]  # fmt: skip
     assert found[0] == found[1]
+
+
+def test_lobes_that_are_no_numbers_are_refused(tmp_path, monkeypatch):
+    """Whoever made them: nothing is written, and what was there stays."""
+    source = make_set("hammered-metal", tmp_path / "sets", size=32)
+    naive = type(get_method("naive"))
+    bake_lobes = naive.bake_lobes
+
+    def broken(self, *arguments, **named):
+        pyramid = bake_lobes(self, *arguments, **named)
+        if len(pyramid.levels) > 2:  # not those few texels that are baked to compile
+            pyramid.levels[1].svbrdf.normal[2, 3] = np.nan
+        return pyramid
+
+    monkeypatch.setattr(naive, "bake_lobes", broken)
+    with pytest.raises(OutputError, match=r"'naive' made 1 texels of level 1 that are not finite"):
+        bake_to_folder(source, tmp_path / "out", method="naive", preview=False)
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
