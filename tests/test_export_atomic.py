@@ -119,7 +119,7 @@ def test_a_failed_exchange_leaves_what_was_there(tmp_path, monkeypatch):
 
 # Background jobs of a shell ignore SIGINT, and children inherit that: the child asks for Python's own handler.
 _SLOW_BAKE = """
-import signal, sys, time
+import os, signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path[:0] = [sys.argv[1], sys.argv[2]]
 from brdffit.export import pictures as export
@@ -127,8 +127,8 @@ from test_export_atomic import write
 original = export.write_png
 def slowly(path, pixels):
     original(path, pixels)
-    print("written", flush=True)
-    time.sleep(60)
+    os.write(1, b"written\\n")  # whole, though two threads write pictures
+    time.sleep(2)  # a level; whoever is interrupted ends the pictures at hand
 export.write_png = slowly
 write(sys.argv[3], seed=1)
 """

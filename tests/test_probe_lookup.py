@@ -56,7 +56,7 @@ def test_the_page_compares_everything(tmp_path):
     write_exr(tmp_path / "room.exr", picture)
     page = compare_to_folder([tmp_path / "room.exr"], tmp_path / "report", True, 1, lambda line: None)
     assert {each.name for each in page.parent.iterdir()} == {
-        "index.html", "records.json", "front.png", "points.png", "levels-room.png",
+        "index.html", "records.json", "front.png", "points.png", "levels-room.png", "searches.png",
     }  # fmt: skip
     records = json.loads((page.parent / "records.json").read_text())
     error = {each["method"]: each["error"] for each in records["methods"]}

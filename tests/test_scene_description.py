@@ -16,7 +16,7 @@ from brdffit.planning.template import template, write_template
 from brdffit.textures.procedural import SETS, make_set
 
 SCENES = Path(__file__).parent.parent / "data" / "scenes"
-SHIPPED = ("close-up", "panel", "terrain", "wall")
+SHIPPED = ("close-up", "panel", "pebbles-far", "pebbles-near", "terrain", "wall")
 SURFACE = '[[surfaces]]\nset = "oak"\n'
 
 
@@ -195,7 +195,7 @@ def test_a_shipped_scene_reads(name, tmp_path):
     scene = read_scene(path)
     reach = [reached_levels(scene, surface, (512, 512)) for surface in scene.surfaces]
     assert all(each.last > 0 for each in reach)
-    assert all((each.first > 0) == (name == "terrain") for each in reach)
+    assert all((each.first > 0) == (name in ("terrain", "pebbles-far")) for each in reach)
 
 
 def test_the_shipped_scenes_are_all_there():

@@ -28,13 +28,13 @@ class FitOptions(LobeOptions):
         "mixed", "lights to look right under: point, sun, lamp, window, sky, mixed, or radii in degrees (2,10:0.5)"
     )
     loss: str = option(
-        "auto", "displayed is the error on a screen, l2 follows peaks, seen lies between; relative and l1 follow tails",
+        "auto", "displayed: the error on a screen; l2 follows peaks, relative and l1 tails, seen between",
         names=LOSSES,
     )  # fmt: skip
     energy: float = option(0.0, "share of a light from everywhere, which sees a lobe's energy alone", least=0.0)
     refine: bool = option(
         False,
-        "fit also what a renderer interpolates between texels and levels, in l2 under point lights (docs/maths.md)",
+        "fit also what a renderer interpolates, in l2 under points (docs/maths.md)",
     )
     specular: str = option(
         "auto", "scale of the lobe: fitted freely, bounded to 10% about the filtered colour, or held there",
