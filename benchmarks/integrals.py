@@ -16,7 +16,7 @@ from benchmarks.materials import load_procedural
 from benchmarks.record import Section, Target
 from brdffit.fitting.batch import model_kernels
 from brdffit.fitting.options import FitOptions
-from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, gather_lobes
+from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, Base, Strata, base_of, gather_lobes
 from brdffit.halfangle.measure import dense_strata, lobe_parameters, measure_rows, random_texels, target_table
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOBE_COLUMNS, NODE_ROWS, SPECULAR, lattice
 from brdffit.methods import get_method
@@ -102,7 +102,7 @@ def _by_chance(
     """Plain Monte Carlo over l and v."""
     start = time.perf_counter()
     lobes = np.zeros((strata.samples + 1, LOBE_COLUMNS))
-    count, _ = gather_lobes(base, strata, 0.0, column, row, lobes, np.zeros(9))
+    count, _ = gather_lobes(base, strata, 0.0, column, row, lobes, np.zeros(DIFFUSE_MOMENT))
     lobes = lobes[:count]
     random = np.random.default_rng((column, row))
     total = squared = 0.0

@@ -16,7 +16,7 @@ from brdffit._jit import kernel
 from brdffit.fitting.batch import model_kernels
 from brdffit.fitting.presets import get_quality
 from brdffit.fitting.sampling import LevelSample
-from brdffit.halfangle.apparent_lobe import gather_lobes
+from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, gather_lobes
 from brdffit.halfangle.measure import random_texels
 from brdffit.halfangle.objective import MOMENTS
 from brdffit.halfangle.quadrature import LOBE_COLUMNS, NODE_ROWS, frame_lobes
@@ -179,7 +179,7 @@ def _bake(svbrdf, mip_level: int) -> float:  # type: ignore[no-untyped-def]
     quality = fixed_nodes(get_quality("standard"), get_quality("standard").nodes[0])
     settings = sample.settings(quality=quality)
     rules, search = settings
-    lobes, moment = np.zeros((rules.room + 1, LOBE_COLUMNS)), np.zeros(9)
+    lobes, moment = np.zeros((rules.room + 1, LOBE_COLUMNS)), np.zeros(DIFFUSE_MOMENT)
     counts = [
         gather_lobes(sample.base, rules.strata, search.step, column, row, lobes, moment)[0]
         for column, row in zip(sample.columns[:500], sample.rows[:500], strict=True)
