@@ -232,6 +232,8 @@ def test_what_a_preset_cannot_store_is_told_before_the_work(tmp_path):
     pytest.importorskip("alktx2", reason="the extra [basis] is not installed")
     with pytest.raises(OutputError, match="multiples of 4 .* found 10x6"):
         write(averaged_pyramid(random_svbrdf((6, 10))), tmp_path / "set", preset="gltf")
+    with pytest.raises(OutputError, match="multiples of 4 .* found 10x6"):
+        write(averaged_pyramid(random_svbrdf((6, 10))), tmp_path / "set", preset="unity")
     with pytest.raises(OutputError, match="8 bits a channel, not 16"):
         write(averaged_pyramid(random_svbrdf((8, 8))), tmp_path / "set", preset="gltf", bits=16)
     with pytest.raises(UnknownNameError, match="did you mean 'best'"):

@@ -8,6 +8,7 @@ import struct
 import numpy as np
 import pytest
 
+from brdffit.export.beside import Alpha, materialx, usda
 from brdffit.export.coverage import share_above, with_kept_coverage
 from brdffit.export.presets import PRESETS, get_preset
 from brdffit.files.image_io import read_image, read_mip_exr
@@ -79,3 +80,27 @@ def test_a_glb_says_that_it_is_a_mask(leaves, tmp_path):
     (length,) = struct.unpack_from("<I", data, 12)
     (material,) = json.loads(data[20 : 20 + length])["materials"]
     assert (material["alphaMode"], material["alphaCutoff"], material["doubleSided"]) == ("MASK", 0.5, True)
+
+
+def test_documents_connect_alpha_to_opacity(leaves, tmp_path):
+    folder = bake_to_folder(leaves, tmp_path, method="lean", preset="blender", preview=False).folder / "blender"
+    text = (folder / "leaf-litter.usda").read_text()
+    assert "float inputs:opacity.connect = </leaf_litter/baseColor.outputs:a>" in text
+    assert "float inputs:opacityThreshold = 0.5" in text
+    assert "float outputs:a" in text.split('def Shader "baseColor"')[1].split("}")[0]
+    materialx = pytest.importorskip("MaterialX", reason="MaterialX is not installed")
+    document, library = materialx.createDocument(), materialx.createDocument()
+    materialx.readFromXmlFile(document, str(folder / "leaf-litter.mtlx"))
+    materialx.loadLibraries(materialx.getDefaultDataLibraryFolders(), materialx.getDefaultDataSearchPath(), library)
+    document.setDataLibrary(library) if hasattr(document, "setDataLibrary") else document.importLibrary(library)
+    valid, message = document.validate()
+    assert valid, message
+    graph = document.getNodeGraph("leaf_litter_maps")
+    assert graph.getOutput("opacity_out").getConnectedNode().getInput("in").getNodeName() == "cut"
+    assert all(node.getNodeDef() is not None for node in graph.getNodes())
+
+
+def test_a_document_of_what_is_blended_has_no_test():
+    assert "opacityThreshold" not in usda("set", "tile", {"baseColor"}, Alpha(None))
+    assert "ifgreatereq" not in materialx("set", "tile", {"baseColor"}, Alpha(None))
+    assert "opacity" not in usda("set", "tile", set()) + materialx("set", "tile", set())

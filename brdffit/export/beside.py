@@ -5,21 +5,38 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from brdffit.export.presets import Preset
+from brdffit.svbrdf import Svbrdf
 
 
-def write_beside(preset: Preset, folder: Path, name: str, wrap: str, roles: Sequence[str]) -> None:
-    """Write what the preset wants beside the pictures ``roles`` that are in ``folder``."""
+class Alpha(NamedTuple):
+    """Alpha of a base colour; ``cutoff`` below which a mask is not there, None where it is blended."""
+
+    cutoff: float | None
+
+
+def write_beside(preset: Preset, folder: Path, name: str, base: Svbrdf, roles: Sequence[str]) -> None:
+    """Write what the preset wants beside the pictures ``roles`` that are in ``folder``; ``base`` is level 0."""
     if preset.beside == "unity":
         srgb = {picture.role: picture.srgb for picture in preset.pictures}
         for role in roles:
             file = f"{name}_{role}.dds"
-            (folder / f"{file}.meta").write_text(unity_meta(file, srgb[role], wrap), encoding="utf-8", newline="\n")
+            (folder / f"{file}.meta").write_text(
+                unity_meta(file, srgb[role], base.wrap), encoding="utf-8", newline="\n"
+            )
     elif preset.beside == "documents":
         for suffix, document in ((".mtlx", materialx), (".usda", usda)):
-            text = document(name, wrap, set(roles))
+            text = document(name, base.wrap, set(roles), alpha_of(base))
             (folder / f"{name}{suffix}").write_text(text, encoding="utf-8", newline="\n")
+
+
+def alpha_of(base: Svbrdf) -> Alpha | None:
+    """What alpha of the base colour is, or None where it has none: opacity, or a test against a cutoff."""
+    if base.opacity is None or not base.alpha:
+        return None
+    return Alpha(base.cutoff if base.alpha == "mask" else None)
 
 
 def unity_meta(file: str, srgb: bool, wrap: str) -> str:
@@ -53,7 +70,7 @@ IHVImageFormatImporter:
 """
 
 
-def materialx(name: str, wrap: str, roles: set[str]) -> str:
+def materialx(name: str, wrap: str, roles: set[str], alpha: Alpha | None = None) -> str:
     """A MaterialX 1.38 document: Standard Surface with the MIP-mapped EXR files as its images.
 
     Its roughness_anisotropy node has alpha_y / alpha_x = 1 - A. The pictures hold Blender's (1 - ratio) / 0.9, so A is
@@ -62,10 +79,10 @@ def materialx(name: str, wrap: str, roles: set[str]) -> str:
     mode = "periodic" if wrap == "tile" else "clamp"
     identifier = _identifier(name)
 
-    def image(role: str, kind: str) -> str:
+    def image(role: str, kind: str, node: str = "") -> str:
         space = ' colorspace="lin_rec709"' if role == "baseColor" else ""
         return (
-            f'    <image name="{role}" type="{kind}">\n'
+            f'    <image name="{node or role}" type="{kind}">\n'
             f'      <input name="file" type="filename" value="{name}_{role}.exr"{space} />\n'
             f'      <input name="uaddressmode" type="string" value="{mode}" />\n'
             f'      <input name="vaddressmode" type="string" value="{mode}" />\n'
@@ -80,17 +97,24 @@ def materialx(name: str, wrap: str, roles: set[str]) -> str:
         ("color3", "baseColor", "base_color"), ("vector3", "bumps", "normal"),
         ("float", "roughness", "specular_roughness"), ("float", "metallic", "metalness"),
     ]  # fmt: skip
+    if alpha is not None:
+        nodes += image("baseColor", "color4", "baseColorAndAlpha")
+        nodes += _node("extract", "alpha", "float", [("in", "color4", "baseColorAndAlpha"), ("index", "integer", 3)])
+        shown = "alpha"
+        if alpha.cutoff is not None:
+            test: list[tuple[str, str, str | float]] = [("value1", "float", "alpha"), ("value2", "float", alpha.cutoff)]
+            nodes += _node("ifgreatereq", "cut", "float", [*test, ("in1", "float", 1.0), ("in2", "float", 0.0)])
+            shown = "cut"
+        nodes += _node("convert", "opacity", "color3", [("in", "float", shown)])
+        outputs.append(("color3", "opacity", "opacity"))
     if "anisotropic" in roles:
         nodes += image("anisotropic", "float") + image("direction", "vector3")
         nodes += _node("multiply", "anisotropy", "float", [("in1", "float", "anisotropic"), ("in2", "float", 0.9)])
         nodes += _node("multiply", "doubled", "vector3", [("in1", "vector3", "direction"), ("in2", "float", 2.0)])
         nodes += _node("subtract", "signed", "vector3", [("in1", "vector3", "doubled"), ("in2", "float", 1.0)])
-        for axis in range(3)[:2]:
-            nodes += (
-                f'    <extract name="along_{"xy"[axis]}" type="float">\n'
-                '      <input name="in" type="vector3" nodename="signed" />\n'
-                f'      <input name="index" type="integer" value="{axis}" />\n    </extract>\n'
-            )
+        for axis, letter in enumerate("xy"):
+            along: list[tuple[str, str, str | float]] = [("in", "vector3", "signed"), ("index", "integer", axis)]
+            nodes += _node("extract", f"along_{letter}", "float", along)
         nodes += _node("atan2", "angle", "float", [("iny", "float", "along_y"), ("inx", "float", "along_x")])
         nodes += _node("multiply", "turn", "float", [("in1", "float", "angle"), ("in2", "float", 0.15915494)])
         outputs += [("float", "anisotropy", "specular_anisotropy"), ("float", "turn", "specular_rotation")]
@@ -113,7 +137,7 @@ def materialx(name: str, wrap: str, roles: set[str]) -> str:
     )
 
 
-def usda(name: str, wrap: str, roles: set[str]) -> str:
+def usda(name: str, wrap: str, roles: set[str], alpha: Alpha | None = None) -> str:
     """A USD document: UsdPreviewSurface, which has no anisotropy, with the MIP-mapped EXR files as its textures."""
     mode, identifier = "repeat" if wrap == "tile" else "clamp", _identifier(name)
     readers, inputs = [], []
@@ -134,8 +158,14 @@ def usda(name: str, wrap: str, roles: set[str]) -> str:
             f'            token inputs:wrapS = "{mode}"\n            token inputs:wrapT = "{mode}"\n'
             f'            token inputs:sourceColorSpace = "raw"\n{scale}'
             f"            float2 inputs:st.connect = </{identifier}/coordinates.outputs:result>\n"
-            f"            {'float' if channel == 'r' else 'float3'} outputs:{channel}\n        }}\n"
+            f"            {'float' if channel == 'r' else 'float3'} outputs:{channel}\n"
+            + ("            float outputs:a\n" if role == "baseColor" and alpha is not None else "")
+            + "        }\n"
         )
+    if alpha is not None:
+        inputs.append(f"            float inputs:opacity.connect = </{identifier}/baseColor.outputs:a>\n")
+        if alpha.cutoff is not None:
+            inputs.append(f"            float inputs:opacityThreshold = {alpha.cutoff}\n")
     return (
         f'#usda 1.0\n(\n    defaultPrim = "{identifier}"\n)\n\ndef Material "{identifier}"\n{{\n'
         f"        token outputs:surface.connect = </{identifier}/surface.outputs:surface>\n"

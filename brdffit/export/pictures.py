@@ -51,6 +51,13 @@ def check_preset(preset: Preset, bits: int = 8, size: tuple[int, int] | None = N
     """
     if bits not in (8, 16):
         raise ValueError(f"bits is {bits}, expected 8 or 16")
+    odd = size is not None and bool(size[0] % 4 or size[1] % 4)
+    if odd and bits == 8 and preset.beside == "unity":
+        assert size is not None
+        raise OutputError(
+            f"The preset '{preset.name}' needs sides that are multiples of 4 (Unity takes no other blocks), found "
+            f"{size[1]}x{size[0]}: resize the maps, or leave blocks out with --bits 16."
+        )
     if not any(picture.pixels == "uastc" for picture in preset.pictures):
         return
     require_basis(f"The preset '{preset.name}'")
@@ -59,7 +66,8 @@ def check_preset(preset: Preset, bits: int = 8, size: tuple[int, int] | None = N
             f"The preset '{preset.name}' stores UASTC, which has 8 bits a channel, not 16: leave --bits out, or choose "
             "'three' for 16-bit floats in KTX2."
         )
-    if preset.container == "glb" and size is not None and (size[0] % 4 or size[1] % 4):
+    if odd and preset.container == "glb":
+        assert size is not None
         raise OutputError(
             f"The preset '{preset.name}' needs sides that are multiples of 4 (KHR_texture_basisu), found "
             f"{size[1]}x{size[0]}: resize the maps, or choose the preset 'three'."
@@ -117,7 +125,7 @@ def write_pictures(
                 stream, textures, name, levels[0].size, levels[0].wrap, alpha=alpha, cutoff=cutoff,
                 factors=drawing.factors,
             )  # fmt: skip
-    write_beside(preset, folder, name, levels[0].wrap, roles)
+    write_beside(preset, folder, name, levels[0], roles)
     records = {role: record for role, (record, _) in zip(roles, made, strict=True)}
     factors = {"factors": dataclasses.asdict(drawing.factors)} if preset.factors else {}
     return {"pictures": records, "stored": cost.figures()} | factors | _of_alpha(levels)
