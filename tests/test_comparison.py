@@ -1,5 +1,7 @@
 """The comparison: what it measures on sets whose answer is known, and that its records are whole."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -18,7 +20,15 @@ from brdffit.files.image_io import write_png
 from brdffit.fitting.options import FitOptions
 from brdffit.render import lights, scenes
 from brdffit.render.environment import Environment
-from brdffit.report.records import KEPT_SUFFIX, MOST_ANISOTROPY, picture_names, to_json, unpack
+from brdffit.report.records import (
+    KEPT_SUFFIX,
+    MOST_ANISOTROPY,
+    PROBE_LIGHTING,
+    picture_names,
+    to_json,
+    unpack,
+)
+from brdffit.report.summary import groups, overall, through_probe
 from brdffit.report.writing import write_report
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -100,6 +110,23 @@ def test_records_are_whole(bumpy):
     assert all(set(lobe.grids) == {"reference", "bfgs", "naive", "vmf"} for lobe in result.lobes)
     assert found.machine["cores"] and found.machine["numpy"]
     assert [info.name for info in found.methods if info.fit] == ["bfgs"]
+
+
+def test_views_of_the_environment_are_drawn_once_more_through_a_probe():
+    asked = dataclasses.replace(small_ask("naive"), lit=("environment",), through_probe="activision")
+    found, pictures = compare([material(bumps=0.2)], asked)
+    seen = {view.key: view for view in found.sets[0].views}
+    for key in ("near-environment", "mid-environment", "far-environment", "sphere"):
+        exact, through = seen[key], seen[key + "-probe"]
+        assert (exact.lighting, through.lighting) == ("environment", PROBE_LIGHTING)
+        assert exact.exposure == through.exposure
+        np.testing.assert_array_equal(pictures[exact.reference], pictures[through.reference])
+        assert (pictures[exact.shots[0].picture] != pictures[through.shots[0].picture]).any()
+    # Methods are not ranked by them.
+    assert [row.views for row in overall(found)] == [sum(not key.endswith("-probe") for key in seen) - 2]
+    assert groups(found)[-1] == ("through a probe", PROBE_LIGHTING)
+    (row,) = through_probe(found)
+    assert row.views == 5 and row.probe_db < row.exact_db and row.probe_error > row.exact_error
 
 
 def test_a_method_that_cannot_is_told_with_its_sentence(bumpy):

@@ -12,7 +12,7 @@ from typing import Any
 
 from brdffit.comparison.options import CompareOptions, Listener, PictureFiles, variant
 from brdffit.comparison.set_comparison import MakeTruth, SetComparison, fit_of
-from brdffit.comparison.surroundings import read_environment
+from brdffit.comparison.surroundings import surroundings_of
 from brdffit.comparison.traced import NEURAL, NEURAL_SUMMARY
 from brdffit.comparison.views import Studio
 from brdffit.machine import machine
@@ -73,7 +73,7 @@ def compare(
         options={
             **options, "environment": Path(asked.environment).name if asked.environment else "procedural",
             "pixels": asked.pixels, "frames": asked.frames, "texels": asked.texels, "pairs": asked.pairs,
-            "samples": asked.samples,
+            "samples": asked.samples, "through_probe": asked.through_probe,
         },
         methods=[
             MethodInfo(name=name, summary=variant(name, asked.options)[0].summary, fit=name == fit_of(methods))
@@ -86,9 +86,10 @@ def compare(
 
 
 def _studio(asked: CompareOptions) -> Studio:
+    environment, probe = surroundings_of(asked.environment, asked.through_probe)
     return Studio(
         pixels=asked.pixels, frames=asked.frames, samples=asked.samples,
-        environment=read_environment(asked.environment),
+        environment=environment, probe=probe,
         lights=asked.lights or light_sets.few(), lit=asked.lit, terms=asked.terms, reach=asked.shared.reach,
         pixel_filter=asked.shared.pixel_filter, threads=asked.shared.threads,
     )  # fmt: skip

@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brdffit.report.records import MOST_DB, RECORDS, Comparison
-from brdffit.report.summary import DISTANCES, groups, level_table, overall, summary
+from brdffit.report.summary import DISTANCES, groups, level_table, overall, summary, through_probe
 
 if TYPE_CHECKING:
     from brdffit.comparison.options import CompareOptions
@@ -119,6 +119,9 @@ def print_summary(written: Written) -> None:
     console.print(_overall_table(comparison))
     console.print("SNR in dB by distance and light, mean over the sets")
     console.print(_distance_table(comparison))
+    if through_probe(comparison):
+        console.print("Views of the environment, and of the same through a filtered probe and the split sum")
+        console.print(_probe_table(comparison))
     for result in comparison.sets:
         rows = level_table(result.views)
         if rows:
@@ -156,6 +159,19 @@ def _overall_table(comparison: Comparison) -> Table:
         worst = "-" if row.worst is None else f"{row.worst[0]} ({_decibels(row.worst[1])})"
         seconds = "-" if row.seconds is None else f"{row.seconds:.2f}"
         table.add_row(row.method, *(_marked(text, name in row.best) for name, text in cells), worst, seconds)
+    return table
+
+
+def _probe_table(comparison: Comparison) -> Table:
+    """What a probe costs every method."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("method\n")
+    for title in ("environment\nSNR", "probe\nSNR", "\nlost", "environment\nrelative L2", "probe\nrelative L2"):
+        table.add_column(title, justify="right")
+    for row in through_probe(comparison):
+        decibels = (row.exact_db, row.probe_db, row.exact_db - row.probe_db)
+        errors = (row.exact_error, row.probe_error)
+        table.add_row(row.method, *map(_decibels, decibels), *(f"{each:.3g}" for each in errors))
     return table
 
 

@@ -13,8 +13,11 @@ from brdffit.methods import Method, get_method, method_names, one_of
 from brdffit.options import BakeOptions, known_options, make_options, refuse_unknown
 from brdffit.render.lights import Lights
 from brdffit.render.terms import Terms
+from brdffit.report.records import PROBE_LIGHTING
 
 SMALL_LIGHTS, LAMPS, ENVIRONMENT = LIGHTINGS = "small lights", "lamps", "environment"
+#: The environment as an engine has it: views of it stand beside those of the environment itself.
+THROUGH_PROBE = PROBE_LIGHTING
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,8 @@ class CompareOptions:
         options: of the bake, each for those methods that have it, see ``brdffit methods NAME``.
         reading: how a folder is read, see ``read_texture_set``.
         neural: file of a neural material that is shown beside the methods, or None.
+        through_probe: engine whose probe lights the views of the environment once more (`brdffit probe --for`), or
+            None.
     """
 
     methods: tuple[str, ...] = ()
@@ -54,6 +59,7 @@ class CompareOptions:
     options: Mapping[str, Any] = field(default_factory=dict)
     reading: Mapping[str, Any] = field(default_factory=dict)
     neural: str | None = None
+    through_probe: str | None = None
 
     @classmethod
     def of(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from brdffit.errors import InputError
 from brdffit.files.image_io import read_image
+from brdffit.probes.shading import ProbeLight
 from brdffit.render.environment import Environment, procedural_environment
 
 
@@ -19,3 +22,14 @@ def read_environment(file: str | None) -> Environment:
         return Environment(read_image(file).pixels[..., :3])
     except ValueError as error:
         raise InputError(f"'{file}' cannot light a scene: {error}.") from error
+
+
+@lru_cache(maxsize=2)
+def surroundings_of(file: str | None, preset: str | None) -> tuple[Environment, ProbeLight | None]:
+    """The environment of ``read_environment``, and the probe that an engine has of it, where a preset is named.
+
+    Raises:
+        InputError, UnknownNameError: as ``read_environment``, and when there is no such preset.
+    """
+    environment = read_environment(file)
+    return environment, None if preset is None else ProbeLight.of(environment.radiance, preset)

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.appearance import Appearance, Truth
-from brdffit.comparison.options import ENVIRONMENT, LAMPS, LIGHTINGS, SMALL_LIGHTS
+from brdffit.comparison.options import ENVIRONMENT, LAMPS, LIGHTINGS, SMALL_LIGHTS, THROUGH_PROBE
+from brdffit.comparison.probe_lit import picture_through_probe
+from brdffit.probes.shading import ProbeLight
 from brdffit.render import lights as light_sets
 from brdffit.render import metrics, scenes
 from brdffit.render.environment import Environment
@@ -46,6 +48,7 @@ class Studio:
         environment: around the surface.
         lights: the small lights.
         lamps: lights that have a size.
+        probe: the environment as an engine has it; its views are drawn once more by that. None: not.
         lit: what lights the pictures, in turn; stills of movement and slant are lit by the first.
         terms: of the BRDF that are simulated.
         reach: first and last level that are seen; None: all.
@@ -59,6 +62,7 @@ class Studio:
     environment: Environment
     lights: Lights
     lamps: Lights = field(default_factory=light_sets.lamps)
+    probe: ProbeLight | None = None
     lit: tuple[str, ...] = LIGHTINGS
     terms: Terms = field(default_factory=Terms)
     reach: tuple[int, int] | None = None
@@ -173,8 +177,7 @@ def all_views(
         taken = take(base, {**pyramids, **kept} if still.level == 0 else pyramids, still.scene, still.lit, studio)
         if still.distance == "near" and still.lit == main:
             first = taken.pictures()
-        view = view_of(still, taken)
-        yield view, pictures_of(taken, view.exposure)
+        yield from _seen(still, taken, pyramids, studio)
 
     announce("half a pixel")
     shown = {**pyramids, **kept} if near == 0 else pyramids
@@ -186,9 +189,27 @@ def all_views(
 
     for still in (each for each in views if each.group == "scene"):
         announce(still.scene.name)
-        taken = take(base, pyramids, still.scene, still.lit, studio)
-        view = view_of(still, taken)
-        yield view, pictures_of(taken, view.exposure)
+        yield from _seen(still, take(base, pyramids, still.scene, still.lit, studio), pyramids, studio)
+
+
+def _seen(
+    still: Still, taken: Taken, pyramids: Drawn, studio: Studio
+) -> Iterator[tuple[View, dict[str, NDArray]]]:  # fmt: skip
+    """The view of a still, and once more through the probe where that is asked for and the environment lights it."""
+    view = view_of(still, taken)
+    yield view, pictures_of(taken, view.exposure)
+    if studio.probe is None or still.lit != ENVIRONMENT:
+        return
+    lobes = {name: levels for name, levels in pyramids.items() if isinstance(levels, Sequence)}
+    pictures = {
+        name: picture_through_probe(levels, still.scene, studio.probe, studio.environment)
+        for name, levels in lobes.items()
+    }
+    halves = {name: np.stack([picture, picture]) for name, picture in pictures.items()}
+    title = still.title.replace(ENVIRONMENT, f"{THROUGH_PROBE} ({studio.probe.preset})")
+    through = Taken(taken.reference, halves)
+    view = view_of(still._replace(key=f"{still.key}-probe", title=title, lit=THROUGH_PROBE), through)
+    yield view, pictures_of(through, view.exposure)
 
 
 def _pixels(studio: Studio, lit: str) -> tuple[int, int]:

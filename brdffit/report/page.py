@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 from brdffit.report import plots
 from brdffit.report.histograms import all_histograms
 from brdffit.report.records import KEPT_SUFFIX, MOST_ANISOTROPY, MOST_DB, Comparison, SetResult, Shot, View
-from brdffit.report.summary import DISTANCES, fit_name, groups, level_table, method_names, overall, summary
+from brdffit.report.summary import (
+    DISTANCES,
+    fit_name,
+    groups,
+    level_table,
+    method_names,
+    overall,
+    still_views,
+    summary,
+    through_probe,
+)
 
 
 def render_page(comparison: Comparison, pictures: Mapping[str, NDArray]) -> str:
@@ -40,7 +50,8 @@ def render_page(comparison: Comparison, pictures: Mapping[str, NDArray]) -> str:
         distances=DISTANCES,
         rows=rows,
         overall=overall(comparison),
-        views=sum(view.group != "motion" for result in comparison.sets for view in result.views),
+        through_probe=through_probe(comparison),
+        views=sum(len(still_views(result)) for result in comparison.sets),
         summaries={info.name: info.summary for info in comparison.methods},
         histograms=all_histograms(comparison),
         times=plots.time_and_gain(rows, colours, fit),

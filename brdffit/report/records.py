@@ -26,6 +26,8 @@ MOST_ANISOTROPY = 32.0
 KEPT_SUFFIX = ", level 0 kept"
 #: Group of views that show one level each at an angle.
 LEVEL_GROUP = "level"
+#: Lighting of views that methods draw through a filtered probe; their reference is under the environment itself.
+PROBE_LIGHTING = "environment through a probe"
 #: Decibels of no error at all.
 MOST_DB = 99.0
 

@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from brdffit.report.records import KEPT_SUFFIX, LEVEL_GROUP, MOST_DB, Comparison, Figures, SetResult, View
+from brdffit.report.records import (
+    KEPT_SUFFIX,
+    LEVEL_GROUP,
+    MOST_DB,
+    PROBE_LIGHTING,
+    Comparison,
+    Figures,
+    SetResult,
+    View,
+)
 
 #: What the summary's columns stand under, and the lighting of its pictures (None: pairs of light and viewer).
 GROUPS: tuple[tuple[str, str | None], ...] = (
@@ -13,6 +22,7 @@ GROUPS: tuple[tuple[str, str | None], ...] = (
     ("small lights", "small lights"),
     ("lamps", "lamps"),
     ("environment", "environment"),
+    ("through a probe", PROBE_LIGHTING),
 )
 DISTANCES = ("near", "mid", "far")
 
@@ -65,9 +75,9 @@ RANKED = (("snr_db", 1), ("flip_ldr", -1), ("ssim", 1))
 
 
 def overall(comparison: Comparison) -> list[Overall]:
-    """Every method over all still views of all sets, in the order of the methods; see ``Overall``."""
+    """Every method over all still views of all sets but those through a probe, in the order of the methods."""
     names = method_names(comparison)
-    views = [(result, view) for result in comparison.sets for view in result.views if _shots(view)]
+    views = [(result, view) for result in comparison.sets for view in still_views(result) if _shots(view)]
     firsts = {name: [0, 0, 0] for name in names}
     for _, view in views:
         for i, (field, sign) in enumerate(RANKED):
@@ -94,6 +104,50 @@ def overall(comparison: Comparison) -> list[Overall]:
             )
         )
     return _marked(rows, len(views))
+
+
+def still_views(result: SetResult) -> list[View]:
+    """Views of a set that methods are ranked by: all but moving ones and those through a probe."""
+    return [view for view in result.views if view.group != "motion" and view.lighting != PROBE_LIGHTING]
+
+
+class ThroughProbe(NamedTuple):
+    """What a filtered probe costs a method, over views of the environment that are drawn both ways.
+
+    Attributes:
+        method: its name.
+        views: how many.
+        exact_db, probe_db: mean SNR in dB under the environment itself, and through the probe.
+        exact_error, probe_error: mean relative L2 of the same.
+    """
+
+    method: str
+    views: int
+    exact_db: float
+    probe_db: float
+    exact_error: float
+    probe_error: float
+
+
+def through_probe(comparison: Comparison) -> list[ThroughProbe]:
+    """What the probe costs each method; [] where nothing was drawn through one."""
+    rows = []
+    for name in method_names(comparison):
+        pairs = []
+        for result in comparison.sets:
+            exact = {view.key: _shots(view) for view in result.views}
+            for view in result.views:
+                here, there = _shots(view), exact.get(view.key.removesuffix("-probe"), {})
+                if view.lighting == PROBE_LIGHTING and name in here and name in there:
+                    pairs.append((there[name], here[name]))
+        if pairs:
+            columns = [
+                _mean([getattr(pair[which], field) for pair in pairs]) or 0.0
+                for field in ("snr_db", "relative_l2")
+                for which in (0, 1)
+            ]
+            rows.append(ThroughProbe(name, len(pairs), *columns))
+    return rows
 
 
 def _shots(view: View) -> dict[str, Figures]:
@@ -167,7 +221,7 @@ def differences(comparison: Comparison, other: str, ours: str | None = None) -> 
     ours = ours or fit_name(comparison)
     found: dict[str, list[float]] = {distance: [] for distance in DISTANCES}
     for result in comparison.sets:
-        for _, lit in groups(comparison)[1:]:
+        for lit in (lit for _, lit in groups(comparison)[1:] if lit != PROBE_LIGHTING):
             for distance in DISTANCES:
                 here, there = (picture_snr(result, name, lit or "", distance) for name in (ours, other))
                 if here is not None and there is not None:
