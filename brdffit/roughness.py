@@ -6,6 +6,7 @@ units of alpha^2, in the tangent plane of the normal; it is stored as its matrix
 
 - perceptual roughness ``r`` in [0, 1]: alpha = r^2 (glTF, Unreal, Filament, Godot, Unity's 1 - smoothness)
 - gloss ``g`` = 1 - r
+- the level of a reflection probe: ``probes.curves``, a curve for each engine
 - Blinn-Phong exponent ``p``: alpha^2 = 2 / (p + 2)
 """
 
@@ -26,6 +27,16 @@ def alpha_squared_from_perceptual(roughness: NDArray) -> NDArray:
 def perceptual_from_alpha_squared(alpha_squared: NDArray) -> NDArray:
     """r = (alpha^2)^(1/4)."""
     return np.sqrt(np.sqrt(alpha_squared))
+
+
+def alpha_from_perceptual(roughness: NDArray) -> NDArray:
+    """alpha = r^2."""
+    return np.square(roughness)
+
+
+def perceptual_from_alpha(alpha: NDArray) -> NDArray:
+    """r = sqrt(alpha)."""
+    return np.sqrt(alpha)
 
 
 def alpha_squared_from_exponent(exponent: NDArray) -> NDArray:

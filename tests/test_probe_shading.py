@@ -5,12 +5,15 @@ import pytest
 
 from brdffit.comparison.probe_lit import picture_through_probe
 from brdffit.errors import UnknownNameError
+from brdffit.export.presets import preset_names
 from brdffit.probes.cubemap import look_up
+from brdffit.probes.curves import get_curve
+from brdffit.probes.presets import PRESETS, probe_of_materials
 from brdffit.probes.shading import MEAN_SCHLICK, ProbeLight
 from brdffit.render import scenes
 from brdffit.render.environment import Environment
 from brdffit.render.pictures import render_appearance
-from brdffit.roughness import log_tensor_from_perceptual
+from brdffit.roughness import alpha_squared_from_perceptual, log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
 
 #: The table has 64 cells of n.v and of roughness, which is looked up bilinearly.
@@ -115,3 +118,26 @@ def test_of_an_anisotropic_lobe_the_geometric_mean_is_looked_up(sided):
 def test_an_engine_that_does_not_exist():
     with pytest.raises(UnknownNameError):
         ProbeLight.of(np.ones((4, 8, 3), np.float32), "quake")
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_manifests_of_materials_name_the_curve_of_probes(name):
+    """A material and a probe for one engine agree on the level of a roughness: there is one function of it."""
+    found = probe_of_materials(name)
+    if name in ("godot", "blender", "ntc"):
+        assert found is None
+        return
+    probe = PRESETS[found["preset"]]
+    curve = get_curve(probe.curve, probe.levels, probe.size)
+    assert found["curve"] == curve.name and found["lod"] == curve.formula
+    # The printed line is what the function computes.
+    roughness = np.linspace(0.2, 0.9, 8)
+    line = curve.formula.split("=")[1].replace("^", "**")
+    said = eval(line, {"r": roughness, "log2": np.log2})
+    np.testing.assert_allclose(said, curve.level(roughness), rtol=1e-9)
+
+
+def test_alphas_are_those_of_the_program():
+    curve = get_curve("unity", 7, 256)
+    roughness = curve.roughness(np.arange(7.0))
+    np.testing.assert_allclose(np.square(curve.alphas()), alpha_squared_from_perceptual(roughness), rtol=1e-12)

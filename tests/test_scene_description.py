@@ -200,3 +200,10 @@ def test_a_shipped_scene_reads(name, tmp_path):
 
 def test_the_shipped_scenes_are_all_there():
     assert sorted(path.stem for path in SCENES.glob("*.toml")) == list(SHIPPED)
+
+
+def test_a_scene_may_name_the_engine_whose_probe_lights_it():
+    text = 'probe = "unity"\n[[surfaces]]\nset = "oak"\n'
+    assert parse_scene(text, "scene.toml").probe == "unity"
+    with pytest.raises(InputError, match="no engine 'unitty'.*unity"):
+        parse_scene(text.replace("unity", "unitty"), "scene.toml")

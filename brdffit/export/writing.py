@@ -22,6 +22,7 @@ from brdffit.files import atomic
 from brdffit.files.image_io import read_mip_exr, write_mip_exr, write_png
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.methods import Baked, Image
+from brdffit.probes.presets import probe_of_materials
 from brdffit.svbrdf import level_sizes
 
 #: EXR files that are written at the same time.
@@ -108,6 +109,7 @@ def write_baked(
             "bits": bits,
             "compress": compress,
             "note": chosen.note,
+            "reflection_probe": probe_of_materials(chosen.name),
         }
         if preview is not None:
             write_png(fresh / "preview.png", preview() if callable(preview) else preview)

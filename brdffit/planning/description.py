@@ -25,6 +25,7 @@ from brdffit.errors import InputError
 from brdffit.export.presets import preset_names
 from brdffit.models import model_names
 from brdffit.planning.effects import NAMES
+from brdffit.probes.presets import PRESETS
 from brdffit.textures import READING_OPTIONS
 
 #: The environment that ships, by name.
@@ -176,6 +177,8 @@ class SceneFile(_Strict, frozen=True, kw_only=True):
         cameras, surfaces, lights: at least one surface; no light and no ``environment``: that which ships.
         environment: equirectangular .hdr or .exr picture, relative to the scene file (y is up in it and its middle
             column lies behind the surface, at -z); "procedural": the one that ships; None: none.
+        probe: engine whose reflection probe lights views of the environment once more in ``compare --scene``
+            (``brdffit probe --for``): its levels are looked up by its own curve of roughness; None: none.
         target, budget: of the bake.
         effects: by name (``effects.NAMES``): "auto" leaves the verdict to the plan.
         model, quality, pixel_filter: as the options of ``brdffit bake``.
@@ -185,6 +188,7 @@ class SceneFile(_Strict, frozen=True, kw_only=True):
     cameras: Annotated[tuple[Camera, ...], Meta(min_length=1)] = (Camera(),)
     lights: tuple[Light, ...] = ()
     environment: str | None = None
+    probe: str | None = None
     target: Target = Target()
     budget: Budget = Budget()
     effects: dict[str, Switch] = {}
@@ -247,6 +251,7 @@ def parse_scene(text: str, path: str | Path) -> SceneFile:
     for where, kind, name, known in (
         ("target.preset", "preset", scene.target.preset, preset_names()),
         ("model", "model", scene.model, model_names()),
+        *([("probe", "engine", scene.probe, list(PRESETS))] if scene.probe is not None else []),
         *(("effects", "effect", name, NAMES) for name in scene.effects),
     ):
         if name not in known:

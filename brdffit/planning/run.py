@@ -88,6 +88,7 @@ def comparisons(
             dataclasses.replace(
                 usual,
                 environment=None if scene.environment == PROCEDURAL else scene.environment,
+                through_probe=scene.probe,
                 lights=lights_of(scene),
                 lit=tuple(lit + [ENVIRONMENT] * planned.environment),
                 terms=Terms(**dict.fromkeys(planned.terms, False)),

@@ -23,6 +23,7 @@ pixel_filter = "box"            # box, gaussian or mitchell
 # Light from all around: an equirectangular .hdr or .exr picture, or "procedural", the one that comes with brdffit. It
 # stands where neither it nor a light is named. y is up in it, and z points out of the surface.
 # environment = "procedural"
+# probe = "unity"               # compare lights it also as this engine does, see `brdffit probe --for`
 
 # Cameras: as many as there are kinds of view.
 [[cameras]]

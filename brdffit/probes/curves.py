@@ -1,6 +1,8 @@
 """Roughness of each level of a probe, and the level that a shader asks for: one function a curve, in both directions.
 
-Levels are numbered from 0 (sharp) to last; roughness is perceptual, alpha = roughness^2. Sources: the engines' shaders.
+Levels are numbered from 0 (sharp) to last; roughness is perceptual (``brdffit.roughness``). Filtering, the light of
+``compare --through-probe``, scenes and the manifests of probes and materials all take their curve from here. Sources:
+the engines' shaders.
 """
 
 from __future__ import annotations
@@ -13,6 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
+from brdffit.roughness import (
+    alpha_from_perceptual,
+    alpha_squared_from_perceptual,
+    exponent_from_alpha_squared,
+    perceptual_from_alpha,
+    perceptual_from_alpha_squared,
+)
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,7 @@ class Curve:
 
     def alphas(self) -> list[float]:
         """alpha of each level."""
-        return [float(r) ** 2 for r in self.roughness(np.arange(self.levels, dtype=np.float64))]
+        return alpha_from_perceptual(self.roughness(np.arange(self.levels, dtype=np.float64))).tolist()
 
 
 def _linear(levels: int, size: int) -> Curve:
@@ -84,8 +93,8 @@ def _babylon(levels: int, size: int) -> Curve:
     return Curve(
         "babylon",
         levels,
-        lambda k: np.minimum(np.sqrt(np.exp2(k / 0.8) / size), 1.0),
-        lambda r: 0.8 * np.log2(np.maximum(size * r * r, 1e-6)),
+        lambda k: np.minimum(perceptual_from_alpha(np.exp2(k / 0.8) / size), 1.0),
+        lambda r: 0.8 * np.log2(np.maximum(size * alpha_from_perceptual(r), 1e-6)),
         f"lod = 0.8 * log2({size} * r^2)",
     )
 
@@ -93,13 +102,15 @@ def _babylon(levels: int, size: int) -> Curve:
 def _activision(levels: int, size: int) -> Curve:
     """Activision: gloss 1 - l/last, alpha^2 = 2 / (1 + 2^(18 gloss)); each level is 2^1.5 times as rough."""
     last = max(levels - 1, 1)
-    return Curve(
-        "activision",
-        levels,
-        lambda k: np.power(2.0 / (1.0 + np.exp2(18.0 * (1.0 - k / last))), 0.25),
-        lambda r: last - np.log2(np.maximum(2.0 / np.maximum(r, 1e-4) ** 4 - 1.0, 1.0)) * last / 18.0,
-        f"lod = {last} - log2(2 / r^4 - 1) * {last} / 18",
-    )
+
+    def roughness(level: NDArray) -> NDArray:
+        return perceptual_from_alpha_squared(2.0 / (1.0 + np.exp2(18.0 * (1.0 - level / last))))
+
+    def level(r: NDArray) -> NDArray:
+        exponent = exponent_from_alpha_squared(alpha_squared_from_perceptual(np.maximum(r, 1e-4)))
+        return last - np.log2(np.maximum(exponent + 1.0, 1.0)) * last / 18.0
+
+    return Curve("activision", levels, roughness, level, f"lod = {last} - log2(2 / r^4 - 1) * {last} / 18")
 
 
 CURVES: dict[str, Callable[[int, int], Curve]] = {

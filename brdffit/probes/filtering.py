@@ -90,14 +90,14 @@ def level_requests(
         keep_narrow: do not average lobes that are narrower than a texel over it.
     """
     out = []
+    roughness = curve.roughness(np.arange(curve.levels, dtype=np.float64))
     for level, alpha in enumerate(curve.alphas()):
         n = max(size >> level, 1)
         stored = 0.0 if level == 0 and copy_first else max(alpha, _LEAST_ALPHA)
         # No more points than the source has texels there: a lobe around one of those is about that texel.
         fits = not keep_narrow and stored > 0.0 and is_narrow(stored, n)
-        out.append(
-            LevelRequest(level, n, float(np.sqrt(alpha)), stored, min(max(source_size // n, 1), 2) if fits else 1)
-        )
+        points = min(max(source_size // n, 1), 2) if fits else 1
+        out.append(LevelRequest(level, n, float(roughness[level]), stored, points))
     return out
 
 

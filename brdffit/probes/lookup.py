@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from brdffit.probes.cubemap import border, face_coordinates, face_points, look_up_trilinear
 from brdffit.probes.curves import Curve
 from brdffit.probes.tree import Tree, tau_for
+from brdffit.roughness import alpha_from_perceptual
 
 #: Roughness and directions of each that the error is measured on.
 ROUGHNESSES = np.linspace(0.05, 1.0, 12)
@@ -39,7 +40,7 @@ def lookup_errors(
     out = []
     for index, roughness in enumerate(ROUGHNESSES):
         at = random_directions(count, 100 + index)
-        exact = tree.filtered(at, float(roughness) ** 2, tau_for(_EXACT), threads)
+        exact = tree.filtered(at, float(alpha_from_perceptual(roughness)), tau_for(_EXACT), threads)
         lod = np.full(count, float(curve.level(np.array(roughness))))
         out.append(np.abs(look_up_trilinear(levels, at, lod) - exact).sum() / exact.sum())
     return np.array(out)
@@ -87,8 +88,8 @@ def _samples(tree: Tree, levels: list[NDArray], curve: Curve, threads: int) -> t
             share = (place + 0.5) / _PLACES
             at = _jittered_directions(sizes[max(below, 1)], 1000 * below + place)
             count = len(at)
-            roughness = float(curve.roughness(np.array(below + share)))
-            exact = tree.filtered(at, max(roughness**2, 1e-3), tau_for(_EXACT), threads)
+            alpha = float(alpha_from_perceptual(curve.roughness(np.array(below + share))))
+            exact = tree.filtered(at, max(alpha, 1e-3), tau_for(_EXACT), threads)
             blocks: list = [sparse.csr_matrix((count, 6 * n * n)) for n in sizes]
             blocks[below] = (1.0 - share) * _bilinear(at, sizes[below])
             blocks[below + 1] = share * _bilinear(at, sizes[below + 1])

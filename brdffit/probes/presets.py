@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from brdffit.errors import UnknownNameError
+from brdffit.probes.curves import get_curve
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,22 @@ _ALL = (
     ),
 )  # fmt: skip
 PRESETS = {preset.name: preset for preset in _ALL}
+
+
+#: Presets of materials that are for an engine of another name here; else the two have one name.
+_OF_MATERIALS = {"gltf": "khronos"}
+
+
+def probe_of_materials(preset: str) -> dict[str, str] | None:
+    """What the manifest of a material says of its engine's reflection probes: preset, curve, and the shader's line.
+
+    ``preset`` is one of ``brdffit bake``; None where no engine is meant that loads filtered probes.
+    """
+    found = PRESETS.get(_OF_MATERIALS.get(preset, preset))
+    if found is None or found.container == "exr":
+        return None
+    curve = get_curve(found.curve, found.levels, found.size)
+    return {"preset": found.name, "curve": curve.name, "lod": curve.formula}
 
 
 def get_probe_preset(name: str) -> ProbePreset:

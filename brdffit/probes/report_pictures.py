@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from brdffit.files.image_io import write_png
 from brdffit.probes.cubemap import look_up
 from brdffit.probes.curves import get_curve
-from brdffit.probes.filtering import FilterOptions, LevelRequest, filter_levels
+from brdffit.probes.filtering import FilterOptions, filter_levels, level_requests
 from brdffit.probes.picture import exposure_of, latlong_directions, toned
 from brdffit.probes.table_files import load_table, shipped_tables
 from brdffit.probes.tables import BASE_SIZE
@@ -119,8 +119,7 @@ def draw_levels(cube: NDArray, path: Path, threads: int) -> None:
 
 
 def _filtered(cube: NDArray, level: int, threads: int = 1) -> list[tuple[str, NDArray]]:
-    alpha = get_curve("activision", 7, BASE_SIZE).alphas()[level]
-    request = LevelRequest(level, BASE_SIZE >> level, float(np.sqrt(alpha)), alpha)
+    request = level_requests(get_curve("activision", 7, BASE_SIZE), BASE_SIZE, BASE_SIZE, keep_narrow=True)[level]
     return [
         (name, filter_levels(cube, [request], replace(options, threads=threads), measure=False)[0].radiance)
         for name, options in _methods()

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.roughness import alpha_from_perceptual
+
 _RADIAL, _AROUND = 96, 48
 
 
@@ -38,7 +40,8 @@ def scale_and_bias(cosine: NDArray, alpha: float) -> NDArray:
 def dfg_table(size: int = 64) -> NDArray:
     """(size, size, 2) float32: columns n.v, rows perceptual roughness, both at (k + 1/2)/size, row 0 the smoothest."""
     at = (np.arange(size) + 0.5) / size
-    return np.stack([scale_and_bias(at, max(r * r, 1e-4)) for r in at]).astype(np.float32)
+    alphas = np.maximum(alpha_from_perceptual(at), 1e-4).tolist()
+    return np.stack([scale_and_bias(at, alpha) for alpha in alphas]).astype(np.float32)
 
 
 def split_errors(cubes: list[NDArray], count: int, threads: int = 1) -> dict[str, list]:
@@ -61,7 +64,7 @@ def split_errors(cubes: list[NDArray], count: int, threads: int = 1) -> dict[str
             chain.append(halved(chain[-1]))
         texel = 4.0 * np.pi / (6 * chain[0].shape[1] ** 2)
         for a, roughness in enumerate(roughnesses):
-            alpha = roughness**2
+            alpha = float(alpha_from_perceptual(np.asarray(roughness)))
             cos_h = np.sqrt((1.0 - u) / (1.0 + (alpha * alpha - 1.0) * u))
             sin_h = np.sqrt(1.0 - cos_h**2)
             half = np.stack([sin_h * np.cos(turn), sin_h * np.sin(turn), cos_h], axis=1)
