@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -132,6 +133,7 @@ class Baked:
             pictures are made of these alone.
         notes: sentences for the user.
         stored: pictures that hold a result without lobes.
+        worn: the glTF file that the material comes from, and its number there: whose geometry a GLB shows.
     """
 
     method: str
@@ -140,6 +142,7 @@ class Baked:
     lobes: Pyramid | None = None
     notes: list[str] = field(default_factory=list)
     stored: Sequence[Image] = ()
+    worn: tuple[Path, int] | None = None
 
     @classmethod
     def of_lobes(cls, pyramid: Pyramid) -> Baked:

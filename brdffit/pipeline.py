@@ -274,6 +274,8 @@ def run(read: ReadSet, method: Method, options: BakeOptions, phases: Phases) -> 
     with phases("fitting"):
         baked = method.bake(read.material, options, phases.progress)
         baked.check_finite(read.name)
+        if read.texture_set and read.texture_set.entry and read.texture_set.material is not None:
+            baked.worn = read.texture_set.entry, read.texture_set.material
         return baked
 
 

@@ -16,12 +16,12 @@ from brdffit.export.channels import (
     Channels,
     alphas_from_gltf,
     anisotropy_direction,
-    base_color_and_metallic,
     decode,
     tangent_above,
 )
 from brdffit.export.factors import gltf_strength_from_alphas
 from brdffit.export.manifest import build_manifest
+from brdffit.export.metallic import base_color_and_metallic
 from brdffit.export.pictures import Drawing, dominant_direction, full_chain, quantise
 from brdffit.export.presets import PRESETS, get_preset
 from brdffit.export.writing import write_baked

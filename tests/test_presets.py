@@ -118,16 +118,18 @@ def test_a_glb_holds_the_levels_and_names_its_extensions(written):
     folder, _ = written("gltf")
     document, binary = glb_parts((folder / "gltf" / "set.glb").read_bytes())
     assert document["extensionsRequired"] == ["KHR_texture_basisu"]
-    assert document["extensionsUsed"] == ["KHR_materials_anisotropy", "KHR_texture_basisu"]
+    used = ["KHR_materials_anisotropy", "KHR_materials_specular", "KHR_texture_basisu"]
+    assert document["extensionsUsed"] == used
     assert [image["name"] for image in document["images"]] == [
         "set_baseColor", "set_normal", "set_occlusionRoughnessMetallic", "set_anisotropy",
+        "set_specularColor",
     ]  # fmt: skip
     for image in document["images"]:
         view = document["bufferViews"][image["bufferView"]]
         assert view["byteOffset"] % 4 == 0
         pixels, size, levels = read_ktx2(binary[view["byteOffset"] :][: view["byteLength"]])
         assert (size, len(levels)) == (SIZE, 6)
-        assert pixels.name == ("uastc_srgb" if image["name"] == "set_baseColor" else "uastc")
+        assert pixels.name == ("uastc_srgb" if image["name"].endswith("Color") else "uastc")
 
 
 def test_the_gltf_validator_finds_no_error(written):

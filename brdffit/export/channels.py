@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.export.factors import Factors, gltf_strength_from_alphas
+from brdffit.export.metallic import base_color_and_metallic, reflectance, tinted
 from brdffit.roughness import eigenvalues_of_log, perceptual_from_alpha_squared, perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
-from brdffit.textures.conversion import DIELECTRIC_F0
 
 #: Godot's smallest ratio of the two alphas: aspect^2 = 1 - 0.9 anisotropy. Blender's Principled BSDF has the same.
 GODOT_RANGE = 0.9
@@ -118,13 +118,22 @@ class Channels:
         return self._svbrdf.diffuse
 
     @cached_property
-    def _metallic_roughness(self) -> tuple[NDArray, NDArray]:
-        return base_color_and_metallic(self._svbrdf.specular, self._svbrdf.diffuse)
+    def _metallic_roughness(self) -> tuple[NDArray, NDArray, NDArray | None]:
+        """Base colour and metallic, and a specular colour where the material has such."""
+        if self._factors.specular is None:
+            return *base_color_and_metallic(self._svbrdf.specular, self._svbrdf.diffuse), None
+        return tinted(self._svbrdf.specular, self._svbrdf.diffuse)
 
     @property
     def base_color(self) -> NDArray:
         """(H, W, 3) base colour of the metallic-roughness model."""
         return self._metallic_roughness[0]
+
+    @property
+    def specular_color(self) -> NDArray:
+        """(H, W, 3) specular colour of KHR_materials_specular, over the material's; ones where it has none."""
+        tint, factor = self._metallic_roughness[2], self._factors.specular
+        return np.ones((*self._svbrdf.size, 3), np.float32) if tint is None or factor is None else tint / factor
 
     @property
     def metallic(self) -> NDArray:
@@ -253,8 +262,11 @@ def decode(channels: Mapping[str, NDArray], normal_y: str = "gl", factors: Facto
     if "specular_r" in channels:
         specular, diffuse = (np.stack([channels[f"{name}_{c}"] for c in "rgb"], -1) for name in ("specular", "diffuse"))
     else:
-        base, metallic = np.stack([channels[f"base_color_{c}"] for c in "rgb"], -1), channels["metallic"][..., None]
-        specular, diffuse = DIELECTRIC_F0 * (1.0 - metallic) + base * metallic, base * (1.0 - metallic)
+        base, metallic = np.stack([channels[f"base_color_{c}"] for c in "rgb"], -1), channels["metallic"]
+        tint: NDArray | float = 1.0
+        if "specular_color_r" in channels and factors.specular is not None:
+            tint = factors.specular * np.stack([channels[f"specular_color_{c}"] for c in "rgb"], -1)
+        specular, diffuse = reflectance(base, metallic, tint), base * (1.0 - metallic)[..., None]
     return Svbrdf(
         normal=normal.astype(np.float32),
         log_roughness=_log_tensor(normal, direction, major, minor).astype(np.float32),
@@ -316,44 +328,3 @@ def tangent_above(normal: NDArray, direction: NDArray) -> NDArray:
     rise = -(direction * normal[..., :2]).sum(axis=-1) / normal[..., 2]
     tangent = np.concatenate([direction, rise[..., None]], axis=-1)
     return tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
-
-
-def base_color_and_metallic(specular: NDArray, diffuse: NDArray) -> tuple[NDArray, NDArray]:
-    """Base colour (..., 3) and metallic (...) of specular and diffuse colours (..., 3), all linear, in [0, 1].
-
-    The model is, per channel, s = 0.04 (1-m) + base m and d = base (1-m).  With q = 1-m and base = d/q:
-    0.04 q^2 - (s + d) q + d = 0.  It is linear in s and d, so it holds for the means over the channels too, and one q
-    serves all three.  Where s < 0.04 both roots may lie in [0, 1] (a dark metal looks like a dark dielectric): the one
-    that explains the channels better is taken, the dielectric when they tie.  Then base is the least-squares answer of
-    both equations, (d q + (s - 0.04 q) m) / (q^2 + m^2), whose denominator is at least 1/2: nothing is divided by zero
-    for black or noisy colours, and colours of the model itself come back as they were.
-    """
-    s = specular.mean(axis=-1, dtype=np.float64)
-    d = diffuse.mean(axis=-1, dtype=np.float64)
-    total = s + d
-    root = np.sqrt(np.maximum(np.square(total) - 4.0 * DIELECTRIC_F0 * d, 0.0))
-    # The smaller root in the form without cancellation.
-    metal = np.clip(2.0 * d / np.maximum(total + root, np.finfo(np.float32).tiny), 0.0, 1.0)
-    dielectric = (total + root) / (2.0 * DIELECTRIC_F0)
-    q = metal
-    # Only for dark colours is the larger root a share at all; 5% more, for those that noise has pushed out.
-    dark = dielectric <= 1.05
-    if dark.any():
-        tie = 1e-4  # of reflectance: well below one code of an 8-bit picture
-        other = np.minimum(dielectric[dark], 1.0)
-        misfits = [_misfit(specular[dark], diffuse[dark], share) for share in (other, metal[dark])]
-        q[dark] = np.where(misfits[0] <= misfits[1] + tie * tie, other, metal[dark])
-    return np.clip(_base_color(specular, diffuse, q), 0.0, 1.0), (1.0 - q).astype(np.float32)
-
-
-def _base_color(specular: NDArray, diffuse: NDArray, q: NDArray) -> NDArray:
-    q = q[..., None].astype(np.float32)
-    m = 1.0 - q
-    return (diffuse * q + (specular - DIELECTRIC_F0 * q) * m) / (q * q + m * m)
-
-
-def _misfit(specular: NDArray, diffuse: NDArray, q: NDArray) -> NDArray:
-    base = np.clip(_base_color(specular, diffuse, q), 0.0, 1.0)
-    q = q[..., None].astype(np.float32)
-    of_specular = DIELECTRIC_F0 * q + base * (1.0 - q) - specular
-    return (np.square(of_specular) + np.square(base * q - diffuse)).sum(axis=-1)

@@ -1,6 +1,7 @@
-"""A GLB of one square whose material holds our own MIP levels: KTX2 pictures under KHR_texture_basisu.
+"""A GLB whose material holds our own MIP levels: KTX2 pictures under KHR_texture_basisu.
 
-Source: glTF 2.0, KHR_texture_basisu, KHR_materials_anisotropy (Khronos).
+A rectangle wears it, or the input's own geometry.
+Source: glTF 2.0, KHR_texture_basisu, KHR_materials_anisotropy, KHR_materials_specular (Khronos).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.export.factors import Factors
+from brdffit.export.geometry import Geometry
 
 _ARRAY, _ELEMENTS = 34962, 34963
 _FLOAT, _UNSIGNED_SHORT = 5126, 5123
@@ -23,76 +25,59 @@ _LINEAR, _TRILINEAR, _REPEAT, _CLAMP = 9729, 9987, 10497, 33071
 
 def write_glb(
     file: BinaryIO, textures: Mapping[str, bytes], name: str, size: tuple[int, int], wrap: str, *, alpha: str = "",
-    cutoff: float | None = None, factors: Factors = _PLAIN,
+    cutoff: float | None = None, factors: Factors = _PLAIN, geometry: Geometry | None = None,
 ) -> None:  # fmt: skip
     """Write a GLB.
 
     Args:
         file: opened for writing in binary.
-        textures: KTX2 files by role: baseColor, normal, occlusionRoughnessMetallic and, if there is one, anisotropy.
+        textures: KTX2 files by role: baseColor, normal, occlusionRoughnessMetallic and, if there are such, anisotropy
+            and specularColor.
         name: of the material.
         size: (height, width) of level 0; the square becomes a rectangle of these proportions, its longer side 2 wide.
         wrap: "tile" or "clamp".
         alpha: "mask", "blend" or "": what the base colour's alpha is. cutoff: of a mask.
         factors: by which the pictures are divided, and which the material multiplies.
+        geometry: what wears the material; None: the rectangle.
 
     Raises:
         OSError: when the file cannot be written.
     """
     binary = _Binary()
-    document: dict[str, Any] = {
+    if geometry is None:
+        document = {
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0, "name": name}],
+            "meshes": [{"primitives": [_rectangle(binary, size)]}],
+        }
+    else:
+        document = geometry.copied(binary)
+    mode = _REPEAT if wrap == "tile" else _CLAMP
+    document |= {
         "asset": {"version": "2.0", "generator": "brdffit"},
-        "extensionsUsed": ["KHR_texture_basisu"],
-        "extensionsRequired": ["KHR_texture_basisu"],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": name}],
-        "meshes": [{"primitives": [_rectangle(binary, size)]}],
         "accessors": binary.accessors,
         "bufferViews": binary.views,
-        "samplers": [
-            {
-                "magFilter": _LINEAR,
-                "minFilter": _TRILINEAR,
-                "wrapS": _REPEAT if wrap == "tile" else _CLAMP,
-                "wrapT": _REPEAT if wrap == "tile" else _CLAMP,
-            }
-        ],
+        "samplers": [{"magFilter": _LINEAR, "minFilter": _TRILINEAR, "wrapS": mode, "wrapT": mode}],
     }
-    index = {role: place for place, role in enumerate(textures)}
     document["images"] = [
         {"bufferView": binary.add(data), "mimeType": "image/ktx2", "name": f"{name}_{role}"}
         for role, data in textures.items()
     ]
     document["textures"] = [
-        {"sampler": 0, "extensions": {"KHR_texture_basisu": {"source": place}}} for place in index.values()
+        {"sampler": 0, "extensions": {"KHR_texture_basisu": {"source": place}}} for place in range(len(textures))
     ]
-    packed = {"index": index["occlusionRoughnessMetallic"]}
-    material: dict[str, Any] = {
-        "name": name,
-        "pbrMetallicRoughness": {
-            "baseColorTexture": {"index": index["baseColor"]},
-            "metallicRoughnessTexture": packed,
-            "roughnessFactor": factors.roughness,
-        },
-        "normalTexture": {"index": index["normal"], "scale": factors.normal},
-        "occlusionTexture": packed,
-    }
-    if "anisotropy" in index:
-        document["extensionsUsed"].append("KHR_materials_anisotropy")
-        document["extensionsUsed"].sort()
-        material["extensions"] = {
-            "KHR_materials_anisotropy": {
-                "anisotropyStrength": factors.strength,
-                "anisotropyRotation": 0.0,
-                "anisotropyTexture": {"index": index["anisotropy"]},
-            }
-        }
+    place = {} if geometry is None else geometry.place
+    references = {role: {"index": number, **place} for number, role in enumerate(textures)}
+    material = _material(name, references, factors)
     if alpha:
         # What has an alpha is as thin as a leaf: it is seen from both sides.
         material |= {"alphaMode": "BLEND" if cutoff is None else "MASK", "doubleSided": True}
         material |= {} if cutoff is None else {"alphaCutoff": cutoff}
     document["materials"] = [material]
+    required = ["KHR_texture_basisu", *(() if geometry is None else geometry.extensions)]
+    document["extensionsRequired"] = sorted(required)
+    document["extensionsUsed"] = sorted([*required, *material.get("extensions", {})])
     document["buffers"] = [{"byteLength": len(binary.data)}]
     text = json.dumps(document, separators=(",", ":"), sort_keys=True).encode()
     text += b" " * (-len(text) % 4)
@@ -100,6 +85,34 @@ def write_glb(
     file.write(struct.pack("<I4s", len(text), b"JSON") + text)
     file.write(struct.pack("<I4s", len(binary.data), b"BIN\0"))
     file.write(binary.data)
+
+
+def _material(name: str, references: Mapping[str, dict[str, Any]], factors: Factors) -> dict[str, Any]:
+    """A material of some references to textures, by role."""
+    packed = references["occlusionRoughnessMetallic"]
+    material: dict[str, Any] = {
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorTexture": references["baseColor"],
+            "metallicRoughnessTexture": packed,
+            "roughnessFactor": factors.roughness,
+        },
+        "normalTexture": {**references["normal"], "scale": factors.normal},
+        "occlusionTexture": packed,
+    }
+    extensions: dict[str, Any] = {}
+    if "anisotropy" in references:
+        extensions["KHR_materials_anisotropy"] = {
+            "anisotropyStrength": factors.strength,
+            "anisotropyRotation": 0.0,
+            "anisotropyTexture": references["anisotropy"],
+        }
+    if "specularColor" in references:
+        extensions["KHR_materials_specular"] = {
+            "specularColorFactor": [factors.specular] * 3,
+            "specularColorTexture": references["specularColor"],
+        }
+    return material | ({"extensions": extensions} if extensions else {})
 
 
 class _Binary:
@@ -110,10 +123,11 @@ class _Binary:
         self.views: list[dict[str, int]] = []
         self.accessors: list[dict[str, Any]] = []
 
-    def add(self, data: bytes, target: int | None = None) -> int:
+    def add(self, data: bytes, target: int | None = None, stride: int | None = None) -> int:
         """Append a buffer view; its index."""
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)}
-        self.views.append(view if target is None else {**view, "target": target})
+        view |= {} if target is None else {"target": target}
+        self.views.append(view | ({} if stride is None else {"byteStride": stride}))
         self.data += data + bytes(-len(data) % 4)
         return len(self.views) - 1
 

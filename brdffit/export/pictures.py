@@ -27,6 +27,7 @@ from brdffit.export.dds import write_dds
 from brdffit.export.decompression import decode_blocks
 from brdffit.export.factors import Factors, factors_of
 from brdffit.export.formats import FORMATS, PixelFormat
+from brdffit.export.geometry import Geometry
 from brdffit.export.gltf import write_glb
 from brdffit.export.ktx2 import write_ktx2
 from brdffit.export.presets import Picture, Preset
@@ -75,8 +76,9 @@ def check_preset(preset: Preset, bits: int = 8, size: tuple[int, int] | None = N
 
 
 def write_pictures(
-    pyramid: Pyramid, fresh: Path, name: str, preset: Preset, bits: int = 8, compress: str = "good"
-) -> dict[str, Any]:
+    pyramid: Pyramid, fresh: Path, name: str, preset: Preset, bits: int = 8, compress: str = "good",
+    geometry: Geometry | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Write the files of a preset below ``fresh``.
 
     Args:
@@ -86,6 +88,7 @@ def write_pictures(
         preset: what to write.
         bits: 8; or 16: PNG of 16 bits, and floats of 16 bits instead of blocks in DDS and KTX2.
         compress: one of COMPRESSIONS, how long encoders of blocks may take.
+        geometry: what a GLB shows; None: a rectangle.
 
     Returns:
         For the manifest: ``pictures``, what is said of each role, and ``stored``, what is left of the lobes.
@@ -101,7 +104,7 @@ def write_pictures(
     folder.mkdir()
     drawing = Drawing(levels, preset)
     cost = Cost(levels[: len(pyramid)], preset.normal_y, drawing.factors)
-    chosen = [with_alpha(picture, levels[0]) for picture in wanted_pictures(preset, pyramid)]
+    chosen = [with_alpha(picture, levels[0]) for picture in wanted_pictures(preset, pyramid, drawing.factors)]
 
     def write(picture: Picture) -> tuple[dict[str, Any], bytes]:
         path = folder / f"{name}_{picture.role}.{preset.container}"
@@ -123,7 +126,7 @@ def write_pictures(
             textures = {role: data for role, (_, data) in zip(roles, made, strict=True)}
             write_glb(
                 stream, textures, name, levels[0].size, levels[0].wrap, alpha=alpha, cutoff=cutoff,
-                factors=drawing.factors,
+                factors=drawing.factors, geometry=geometry,
             )  # fmt: skip
     write_beside(preset, folder, name, levels[0], roles)
     records = {role: record for role, (record, _) in zip(roles, made, strict=True)}
@@ -131,12 +134,13 @@ def write_pictures(
     return {"pictures": records, "stored": cost.figures()} | factors | _of_alpha(levels)
 
 
-def wanted_pictures(preset: Preset, pyramid: Pyramid) -> list[Picture]:
+def wanted_pictures(preset: Preset, pyramid: Pyramid, factors: Factors) -> list[Picture]:
     """The pictures of a preset for which a pyramid has something."""
     has = {
         "": True,
         "anisotropy": pyramid.options.lobe == "anisotropic",
         "occlusion": pyramid.levels[0].svbrdf.occlusion is not None,
+        "specular": factors.specular is not None,
     }
     return [picture for picture in preset.pictures if has[picture.needs]]
 
@@ -189,7 +193,7 @@ def stored_levels(pyramid: Pyramid, preset: Preset, compress: str = "good") -> l
     levels = [level.svbrdf for level in pyramid.levels]
     drawing = Drawing(levels, preset)
     channels: list[dict[str, NDArray]] = [{} for _ in levels]
-    for picture in wanted_pictures(preset, pyramid):
+    for picture in wanted_pictures(preset, pyramid, drawing.factors):
         pixels = pixels_of(picture, preset, 8)
         srgb, bits = encoding_of(picture, preset, pixels, 8)
         encoded, _ = drawing.draw(picture, srgb, bits)

@@ -23,7 +23,8 @@ class Picture:
         role: ending of the file's name in that engine.
         channels: names of properties of `Channels`, in the file's order.
         srgb: whether the (first three) channels are encoded as sRGB.
-        needs: "anisotropy" or "occlusion": written only where the pyramid has it; "" always.
+        needs: "anisotropy", "occlusion" or "specular" (a colour that base colour and metallic do not give): written
+            only where the pyramid has it; "" always.
         pixels: pixel format in DDS and KTX2, see `formats`, without the ending "_srgb".
     """
 
@@ -82,6 +83,9 @@ _PLAIN = (
     Picture("diffuse", ("diffuse_r", "diffuse_g", "diffuse_b"), srgb=True),
     Picture("occlusion", ("occlusion",), needs="occlusion"),
 )
+_SPECULAR_COLOR = Picture(
+    "specularColor", ("specular_color_r", "specular_color_g", "specular_color_b"), True, "specular", "uastc"
+)
 
 
 def _gltf(pixels: str, normal: Picture) -> tuple[Picture, ...]:
@@ -120,7 +124,7 @@ _PRESETS = (
         roughness=_OF_GLTF,
         lobe="anisotropic",
         specular="held",
-        pictures=_gltf("uastc", Picture("normal", _NORMAL, pixels="uastc")),
+        pictures=(*_gltf("uastc", Picture("normal", _NORMAL, pixels="uastc")), _SPECULAR_COLOR),
         container="glb",
         zstd=10,
         factors=True,

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError, OutputError
+from brdffit.export.geometry import Geometry, geometry_of
 from brdffit.export.manifest import FILE_NAME, file_digest, foreign_file, stable_digest, to_json
 from brdffit.export.pictures import bands, check_preset, write_pictures
 from brdffit.export.presets import get_preset
@@ -94,7 +95,8 @@ def write_baked(
             written = [pool.submit(_write_exr_file, image, fresh, baked.wrap) for image in baked.images()]
             try:
                 if baked.lobes is not None:
-                    pictures = write_pictures(baked.lobes, fresh, name, chosen, bits, compress)
+                    geometry = _geometry(baked) if chosen.container == "glb" else None
+                    pictures = write_pictures(baked.lobes, fresh, name, chosen, bits, compress, geometry)
                 for each in written:
                     each.result()
             except BaseException:
@@ -121,6 +123,16 @@ def write_baked(
         record["stable_digest"] = stable_digest(record)
         (fresh / FILE_NAME).write_text(to_json(record), encoding="utf-8")
     return record
+
+
+def _geometry(baked: Baked) -> Geometry | None:
+    """The geometry of the input, where that is a glTF file; why not is noted."""
+    if baked.worn is None:
+        return None
+    geometry, why = geometry_of(*baked.worn)
+    if geometry is None:
+        baked.notes.append(f"The GLB shows a rectangle, not the geometry of '{baked.worn[0].name}': {why}.")
+    return geometry
 
 
 def _write_exr_file(image: Image, fresh: Path, wrap: str) -> None:

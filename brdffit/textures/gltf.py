@@ -66,6 +66,7 @@ def read_gltf(path: Path, data: bytes, name: str | None = None) -> TextureSet:
                     f"'{path.name}' has {len(materials)} materials: '{names[chosen]}' is read, the others are left "
                     f"out ({', '.join(others[:8])}{', ...' if len(others) > 8 else ''}); --material NAME names another."
                 )
+        texture_set.material = chosen
         _Reader(texture_set, path, document, binary, materials[chosen]).read()
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(

@@ -66,16 +66,25 @@ def image_of(path: Path, document: dict, binary: bytes | None, index: int) -> tu
     if image.get("mimeType") == "image/ktx2":
         raise InputError(f"'{path}' keeps its textures as KTX2, expected PNG, JPEG or WebP.")
     if "uri" not in image:
-        view = document["bufferViews"][image["bufferView"]]
-        buffer = document["buffers"][view["buffer"]]
-        data = _buffer(path, buffer["uri"]) if "uri" in buffer else binary
-        start, length = view.get("byteOffset", 0), view["byteLength"]
-        if data is None or start + length > len(data):
-            raise InputError(f"'{path}' is truncated: the bytes of its image {source} are missing.")
-        return path, data[start : start + length]
+        return path, view_bytes(path, document, binary, image["bufferView"])
     if image["uri"].startswith("data:"):
         return path, _data_uri(path, image["uri"])
     return path.parent / unquote(image["uri"]), None
+
+
+def view_bytes(path: Path, document: dict, binary: bytes | None, index: int) -> bytes:
+    """The bytes of a buffer view.
+
+    Raises:
+        InputError: when they are not all there.
+    """
+    view = document["bufferViews"][index]
+    buffer = document["buffers"][view["buffer"]]
+    data = _buffer(path, buffer["uri"]) if "uri" in buffer else binary
+    start, length = view.get("byteOffset", 0), view["byteLength"]
+    if data is None or start + length > len(data):
+        raise InputError(f"'{path}' is truncated: the bytes of its buffer view {index} are missing.")
+    return data[start : start + length]
 
 
 def _buffer(path: Path, uri: str) -> bytes:

@@ -130,6 +130,7 @@ class TextureSet:
         ignored: image files that were not used.
         notes: what was assumed or mended, one sentence each.
         entry: the .gltf, .glb or .mtlx file the set was read from, or None.
+        material: its number in a .gltf or .glb file, or None.
     """
 
     name: str
@@ -144,6 +145,7 @@ class TextureSet:
     ignored: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     entry: Path | None = None
+    material: int | None = None
 
     @property
     def size(self) -> tuple[int, int]:
