@@ -15,6 +15,7 @@ from typing import Any
 import click
 
 from brdffit.cli_options import (
+    LEVELS_FROM_HELP,
     LIGHTS_HELP,
     OUTPUT_HELP,
     SCENE_HELP,
@@ -80,12 +81,13 @@ main.add_command(view)
 @click.option("--compress", **choice("fast", "good", "best"), show_default="good", help="Time that blocks may take.")
 @click.option("--no-preview", is_flag=True, help="Do not draw preview.png.")
 @click.option("--show", is_flag=True, help="Open preview.png when done; without a screen, draw it in the terminal.")
+@click.option("--levels-from", type=click.IntRange(min=1), metavar="K", help=LEVELS_FROM_HELP)
 @click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
 @reading_options
 @click.pass_context
 def bake(
     context: click.Context, source: str | None, scene_file: Path | None, output: Path, bits: str, no_preview: bool,
-    show: bool, assigned: dict[str, str], **options: Any,
+    show: bool, levels_from: int | None, assigned: dict[str, str], **options: Any,
 ) -> None:  # fmt: skip
     """Bake the MIP pyramid of SET.
 
@@ -103,6 +105,10 @@ def bake(
         reports = bake_by_plan(scene_file, output, preview=not no_preview, threads=options["threads"])
     elif source is not None:
         given = {name: value for name, value in options.items() if value not in (None, False, "auto")} | assigned
+        if levels_from is not None:
+            from brdffit.reduction import bake_levels_from
+
+            bake_to_folder = functools.partial(bake_levels_from, levels_from=levels_from)
         with BakeDisplay() as display:
             reports = [
                 bake_to_folder(source, output, bits=int(bits), preview=not no_preview, progress=display, **given)

@@ -279,10 +279,12 @@ def run(read: ReadSet, method: Method, options: BakeOptions, phases: Phases) -> 
         return baked
 
 
-def assess(material: Material, baked: Baked, texels: int = _REPORT_TEXELS) -> list[dict[str, Any]]:
+def assess(
+    material: Material, baked: Baked, texels: int = _REPORT_TEXELS, only: Collection[int] | None = None
+) -> list[dict[str, Any]]:
     """SNR in dB and energy kept of each level, measured on random texels against a dense rule.
 
-    Nothing of levels that no pixel reads, and nothing at all of a result without lobes.
+    Nothing of levels that no pixel reads or that are not among ``only``, and nothing at all of a result without lobes.
     """
     if baked.lobes is None:
         return [{} for _ in baked.sizes]
@@ -292,24 +294,22 @@ def assess(material: Material, baked: Baked, texels: int = _REPORT_TEXELS) -> li
     base = base_of(svbrdf, source.default_shape)
     figures: list[dict[str, Any]] = []
     for mip_level, level in enumerate(pyramid.levels):
-        if level.status is not None and (level.status == NOT_REACHED).all():
+        unread = level.status is not None and (level.status == NOT_REACHED).all()
+        if unread or (only is not None and mip_level not in only):
             figures.append({})
             continue
         columns, rows = random_texels(level.svbrdf.size, texels, seed=mip_level)
-        weighted = dataclasses.replace(level, svbrdf=level.svbrdf.weighted())
         found = measure(
-            base, svbrdf.size, [weighted], columns, rows, pixel_filter=pyramid.options.pixel_filter,
-            exponent=DENSITY_EXPONENTS[pyramid.options.density], kernels=kernels, default_shape=target.default_shape,
-            nodes=_REPORT_NODES, samples=(_REPORT_SAMPLES, math.isqrt(_SHARED_SAMPLES // len(columns))),
+            base, svbrdf.size, [dataclasses.replace(level, svbrdf=level.svbrdf.weighted())], columns, rows,
+            pixel_filter=pyramid.options.pixel_filter, exponent=DENSITY_EXPONENTS[pyramid.options.density],
+            kernels=kernels, default_shape=target.default_shape, nodes=_REPORT_NODES,
+            samples=(_REPORT_SAMPLES, math.isqrt(_SHARED_SAMPLES // len(columns))),
         )  # fmt: skip
         # Rounded well above the noise of the sums, so that manifests agree to the byte.
-        figures.append(
-            {
-                "snr_db": round(min(snr(found.error), 99.0), 2),
-                "energy_kept": round(float(found.energy.mean()), 4),
-                "measured_texels": len(columns),
-            }
-        )
+        figures.append({
+            "snr_db": round(min(snr(found.error), 99.0), 2), "energy_kept": round(float(found.energy.mean()), 4),
+            "measured_texels": len(columns),
+        })  # fmt: skip
     return figures
 
 

@@ -47,7 +47,16 @@ FORBIDDEN = {
         "brdffit.render", "brdffit.learned",
     },
     # A neural material learns from whatever answers queries, and draws through the renderer.
-    "brdffit.neural": {"brdffit.fitting", "brdffit.halfangle", "brdffit.export", "brdffit.comparison"},
+    "brdffit.neural": {
+        "brdffit.fitting", "brdffit.halfangle", "brdffit.export", "brdffit.comparison", "brdffit.planning",
+        "brdffit.report", "brdffit.pipeline", "brdffit.library", "brdffit.models",
+    },
+    # A traced height answers queries and is a truth, shaded as the renderer does; it does not know who asks.
+    "brdffit.microgeometry": {
+        "brdffit.fitting", "brdffit.neural", "brdffit.learned", "brdffit.nets", "brdffit.comparison",
+        "brdffit.planning", "brdffit.export", "brdffit.methods", "brdffit.pipeline", "brdffit.cli", "click",
+    },
+    "brdffit.neural.kernels": {"brdffit.svbrdf", "brdffit.microgeometry", "brdffit.textures", "brdffit.methods"},
     "brdffit.learned": {"brdffit.render", "brdffit.export", "brdffit.comparison", "brdffit.report", "brdffit.probes"},
     "brdffit.probes": {
         "brdffit.svbrdf", "brdffit.methods", "brdffit.fitting", "brdffit.halfangle", "brdffit.textures",

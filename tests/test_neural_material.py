@@ -197,7 +197,7 @@ def test_sizes_become_powers_of_two_and_that_is_told():
 
 def test_memory_is_predicted(monkeypatch):
     check_memory((128, 128))
-    monkeypatch.setattr("os.sysconf", lambda name: 1000)
+    monkeypatch.setattr("brdffit.neural.training.free_memory", lambda: 1000 * 1000)
     with pytest.raises(InputError, match="GiB of memory"):
         check_memory((128, 128))
 

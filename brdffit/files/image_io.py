@@ -110,7 +110,7 @@ def read_info(path: str | Path, data: bytes | None = None) -> ImageInfo:
     """
     path = Path(path)
     with _embedded(path, data) as file:
-        reader, info = _open(path, file)
+        reader, info = open_reader(path, file)
         reader.close()
     return info
 
@@ -126,12 +126,12 @@ def read_image(path: str | Path, data: bytes | None = None) -> Image:
     """
     path = Path(path)
     with _embedded(path, data) as file:
-        reader, info = _open(path, file)
+        reader, info = open_reader(path, file)
         try:
             count = reader.spec().nchannels
             pixels = reader.read_image(info.part, 0, 0, count, oiio.FLOAT)
             # A truncated JPEG returns an array: only the error tells.
-            problem = _error_of(reader) if reader.has_error else ""
+            problem = error_of(reader) if reader.has_error else ""
         except MemoryError as error:
             raise InputError(
                 f"'{path}' says it is {info.width}x{info.height} with {count} channels, more than there is memory for."
@@ -140,18 +140,23 @@ def read_image(path: str | Path, data: bytes | None = None) -> Image:
             reader.close()
     if pixels is None or problem:
         raise InputError(
-            f"'{path}' is truncated or damaged ({_one_line(problem)}), expected {info.width}x{info.height} pixels."
+            f"'{path}' is truncated or damaged ({one_line(problem)}), expected {info.width}x{info.height} pixels."
         )
     stored = (info.height, info.width) if info.orientation < 5 else (info.width, info.height)
-    pixels = np.asarray(pixels, dtype=np.float32).reshape(*stored, count)
+    pixels = as_said(info, np.asarray(pixels, dtype=np.float32).reshape(*stored, count))
+    pixels = np.ascontiguousarray(upright(pixels, info.orientation))
+    return Image(**{name: getattr(info, name) for name in ImageInfo.__dataclass_fields__}, pixels=pixels)
+
+
+def as_said(info: ImageInfo, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Pixels (h, w, C) of a file: the channels that are read, their colours divided by associated alpha."""
     if info.picked:
         pixels = pixels[:, :, info.picked]
     if info.associated:
         alpha = pixels[:, :, -1:]
         colours = np.divide(pixels[:, :, :-1], alpha, out=np.zeros_like(pixels[:, :, :-1]), where=alpha > 0.0)
         pixels = np.concatenate([colours if info.is_float else np.minimum(colours, 1.0), alpha], axis=2)
-    pixels = np.ascontiguousarray(upright(pixels, info.orientation))
-    return Image(**{name: getattr(info, name) for name in ImageInfo.__dataclass_fields__}, pixels=pixels)
+    return pixels
 
 
 def write_png(path: str | Path, pixels: NDArray) -> None:
@@ -232,7 +237,7 @@ def read_mip_exr(path: str | Path, channel_names: Sequence[str] | None = None) -
         InputError: as ``read_image``, and when a level cannot be read or a channel is missing.
     """
     path = Path(path)
-    reader, info = _open(path, path)
+    reader, info = open_reader(path, path)
     missing = [name for name in channel_names or () if name not in info.channels]
     if missing:
         reader.close()
@@ -245,9 +250,9 @@ def read_mip_exr(path: str | Path, channel_names: Sequence[str] | None = None) -
         while reader.seek_subimage(0, len(levels)):
             spec = reader.spec()
             pixels = reader.read_image(0, len(levels), 0, spec.nchannels, oiio.FLOAT)
-            problem = _error_of(reader) if reader.has_error else ""
+            problem = error_of(reader) if reader.has_error else ""
             if pixels is None or problem:
-                raise InputError(f"'{path}' is damaged at MIP level {len(levels)} ({_one_line(problem)}).")
+                raise InputError(f"'{path}' is damaged at MIP level {len(levels)} ({one_line(problem)}).")
             shaped = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
             levels.append(np.ascontiguousarray(shaped[:, :, order]))
     finally:
@@ -269,7 +274,7 @@ def _embedded(path: Path, data: bytes | None) -> Iterator[Path]:
         yield file
 
 
-def _open(path: Path, file: Path) -> tuple[oiio.ImageInput, ImageInfo]:
+def open_reader(path: Path, file: Path) -> tuple[oiio.ImageInput, ImageInfo]:
     """Open ``file``; errors speak of ``path``."""
     try:
         if not path.exists():
@@ -289,7 +294,7 @@ def _open(path: Path, file: Path) -> tuple[oiio.ImageInput, ImageInfo]:
     except (UnicodeEncodeError, TypeError) as error:
         raise InputError(f"'{path}' has a name that is not UTF-8, expected one that is: rename it.") from error
     if reader is None:
-        raise InputError(f"'{path}' is not an image that can be read ({_error_of(oiio)}).")
+        raise InputError(f"'{path}' is not an image that can be read ({error_of(oiio)}).")
     try:
         return reader, _info_of(reader, path)
     except UnicodeDecodeError as error:
@@ -326,7 +331,7 @@ def _info_of(reader: oiio.ImageInput, path: Path) -> ImageInfo:
         remark=remark,
     )
     if reader.has_error:
-        raise InputError(f"'{path}' is not an image that can be read ({_error_of(reader)}).")
+        raise InputError(f"'{path}' is not an image that can be read ({error_of(reader)}).")
     if not (info.width > 0 and info.height > 0 and names):
         raise InputError(f"'{path}' has no pixels ({info.width}x{info.height}), expected an image.")
     return info
@@ -336,7 +341,7 @@ def _first_with_colours(reader: oiio.ImageInput) -> tuple[int, str]:
     """The part of a file to read, and what is left out; the reader is set to it. MIP levels are no parts."""
     if reader.format_name() != "openexr" or not reader.seek_subimage(1, 0):
         reader.seek_subimage(0, 0)
-        _error_of(reader)
+        error_of(reader)
         return 0, ""
     names: list[str] = []
     chosen = None
@@ -347,7 +352,7 @@ def _first_with_colours(reader: oiio.ImageInput) -> tuple[int, str]:
         if chosen is None and ({"R", "G", "B"} <= plain or {"X", "Y", "Z"} <= plain or plain == {"Y"}):
             chosen = len(names) - 1
     chosen = chosen or 0
-    _error_of(reader)
+    error_of(reader)
     reader.seek_subimage(chosen, 0)
     return chosen, f" has {len(names)} parts ({', '.join(names)}): '{names[chosen]}' is read."
 
@@ -355,26 +360,26 @@ def _first_with_colours(reader: oiio.ImageInput) -> tuple[int, str]:
 def _create(path: Path, file_format: str) -> oiio.ImageOutput:
     writer = oiio.ImageOutput.create(file_format)
     if writer is None:
-        raise OutputError(f"'{path}' could not be written: {_error_of(oiio)}.")
+        raise OutputError(f"'{path}' could not be written: {error_of(oiio)}.")
     return writer
 
 
 def _check(done: bool, writer: oiio.ImageOutput, path: Path) -> None:
-    problem = _error_of(writer) if writer.has_error else ""
+    problem = error_of(writer) if writer.has_error else ""
     if not done or problem:
         writer.close()
         raise OutputError(
-            f"'{path}' could not be written ({_one_line(problem)}): is the folder writable and the disk not full?"
+            f"'{path}' could not be written ({one_line(problem)}): is the folder writable and the disk not full?"
         )
 
 
-def _error_of(source: Any) -> str:
+def error_of(source: Any) -> str:
     """The library's words for what went wrong, on one line; they may quote bytes of the file that are no text."""
     try:
-        return _one_line(source.geterror())
+        return one_line(source.geterror())
     except UnicodeDecodeError:
         return "its bytes are not as they should be"
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
     return " ".join(text.split()).rstrip(".") or "no reason given"

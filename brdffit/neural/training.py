@@ -9,7 +9,6 @@ few times, for tracing one takes longer than learning it), and the blur is gone 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
+from brdffit.machine import free_memory
 from brdffit.microgeometry.queries import QuerySource
 from brdffit.nets.adam import Adam
 from brdffit.neural.kernels.dense import MATRIX
@@ -213,12 +213,8 @@ def check_memory(size: tuple[int, int]) -> None:
     Raises:
         InputError: with what is needed and what there is.
     """
-    needed = needed_memory(size)
-    try:
-        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (ValueError, OSError, AttributeError):
-        return
-    if needed > free:
+    needed, free = needed_memory(size), free_memory()
+    if free is not None and needed > free:
         raise InputError(
             f"Training a neural material of {size[1]}x{size[0]} texels needs about {needed / 2**30:.1f} GiB of memory "
             f"and {free / 2**30:.1f} GiB are free: give a smaller --size."

@@ -15,6 +15,7 @@ from brdffit.textures.encoding import height_gradient, normals_from_gradient
 from brdffit.textures.facade import GlassPanes
 from brdffit.textures.foliage import LeafLitter
 from brdffit.textures.patterns import Color, Maps, frequencies, noise, periodic, scattered, step, unit_range
+from brdffit.textures.strokes import BrushStrokes
 
 
 class BrushedMetal(msgspec.Struct, forbid_unknown_fields=True):
@@ -274,4 +275,5 @@ GENERATORS: dict[str, Any] = {
     "foam_blobs": FoamBlobs,
     "woven_fabric": WovenFabric,
     "turtle_shell": TurtleShell,
+    "brush_strokes": BrushStrokes,
 }

@@ -12,7 +12,7 @@ Color = tuple[float, float, float]
 
 @dataclass
 class Maps:
-    """What a generator makes; None where the set has no such map.
+    """What a generator makes; None where the set has no such map. A map of one value may be of one texel.
 
     Attributes:
         color: (H, W, 3) linear.
@@ -24,7 +24,7 @@ class Maps:
     """
 
     color: NDArray
-    normal: NDArray
+    normal: NDArray | None
     roughness: NDArray
     metallic: NDArray | None = None
     height: NDArray | None = None

@@ -29,10 +29,12 @@ SETS = (
     "brushed-metal", "bumpy-mirror", "cliff", "glass-panes", "glossy-tiles", "grooved-record", "hammered-metal",
     "insulation-foam", "leaf-litter", "pebbles", "plaster-wall", "rocky-terrain", "turtle-shell", "woven-fabric",
 )  # fmt: skip
+#: Names of shipped sets that are made only where they are named: they are large.
+ON_DEMAND = ("brushed-strokes-4k",)
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What a recipe file holds."""
+    """What a recipe file holds; ``size`` is the side of its maps in texels, unless another is asked for."""
 
     summary: str
     generator: str
@@ -41,6 +43,7 @@ class Recipe(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     seed: int
     wrap: str
     parameters: dict[str, Any]
+    size: int = 512
 
 
 def read_recipe(path: Path) -> tuple[Recipe, Any]:
@@ -61,13 +64,13 @@ def read_recipe(path: Path) -> tuple[Recipe, Any]:
         raise InputError(f"The recipe '{path}' is not as expected: {error}.") from error
 
 
-def make_set(name: str, folder: str | Path, size: int = 512) -> Path:
+def make_set(name: str, folder: str | Path, size: int | None = None) -> Path:
     """Write the maps of a shipped set into ``folder``; the same name and size give the same bytes.
 
     Args:
-        name: one of ``SETS``.
+        name: one of ``SETS`` or ``ON_DEMAND``.
         folder: where the maps go; made if missing.
-        size: side of the maps in texels.
+        size: side of the maps in texels; None: the recipe's.
 
     Returns:
         The folder.
@@ -76,10 +79,10 @@ def make_set(name: str, folder: str | Path, size: int = 512) -> Path:
         UnknownNameError: for an unknown name.
         OutputError: when a map cannot be written; no half-written map bears a final name.
     """
-    if name not in SETS:
-        raise UnknownNameError("procedural set", name, SETS)
+    if name not in SETS + ON_DEMAND:
+        raise UnknownNameError("procedural set", name, SETS + ON_DEMAND)
     recipe, generator = read_recipe(RECIPES / f"{name}.toml")
-    maps = generator.make(size, np.random.default_rng(recipe.seed))
+    maps = generator.make(size or recipe.size, np.random.default_rng(recipe.seed))
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -88,7 +91,7 @@ def make_set(name: str, folder: str | Path, size: int = 512) -> Path:
     stem = "".join(part.capitalize() for part in name.split("-"))
     pictures = {
         "Color": _with_alpha(_codes(encode_srgb(maps.color), 255), maps.opacity),
-        "NormalGL": _codes(0.5 * maps.normal + 0.5, 65535),
+        "NormalGL": None if maps.normal is None else _codes(0.5 * maps.normal + 0.5, 65535),
         "Roughness": _codes(maps.roughness, 255),
         "Metallic": None if maps.metallic is None else _codes(maps.metallic, 255),
         "Height": None if maps.height is None else _codes(unit_range(maps.height), 65535),
@@ -117,9 +120,9 @@ def _codes(values: NDArray, top: int) -> NDArray:
 
 
 def main(arguments: list[str], tell: Callable[[str], object] = sys.stderr.write) -> int:
-    """``OUT [NAMES]``: write the named sets, or all, each into a folder of its name."""
+    """``OUT [NAMES]``: write the named sets, or all that are not large, each into a folder of its name."""
     if not arguments or arguments[0].startswith("-"):
-        tell(f"usage: python -m brdffit.textures.procedural OUT [{' '.join(SETS)}]\n")
+        tell(f"usage: python -m brdffit.textures.procedural OUT [{' '.join(SETS + ON_DEMAND)}]\n")
         return 2
     try:
         for name in arguments[1:] or SETS:

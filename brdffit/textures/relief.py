@@ -109,7 +109,7 @@ def normal_and_height(texture_set: TextureSet, unread: Collection[str]) -> tuple
                 f"opposite to those of the normal map (correlation {across:.2f}). It is turned over."
             )
     if height is not None:
-        height = np.float32(_height_scale(texture_set, height, vectors)) * height
+        height = np.float32(height_scale(texture_set, height, vectors)) * height
     if vectors is None:
         assert height is not None
         # A height in texels of the full size, on a grid of its own: its texels may be larger.
@@ -136,7 +136,7 @@ def normal_and_height(texture_set: TextureSet, unread: Collection[str]) -> tuple
     return normals, height
 
 
-def _height_scale(texture_set: TextureSet, height: NDArray, vectors: NDArray | None) -> float:
+def height_scale(texture_set: TextureSet, height: NDArray, vectors: NDArray | None) -> float:
     """Texels (of the full size) between the height values 0 and 1: given, from the normal map's slopes, or a share."""
     if texture_set.height_scale is not None:
         return texture_set.height_scale

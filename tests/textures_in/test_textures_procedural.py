@@ -14,7 +14,7 @@ from brdffit.files.image_io import read_image
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.procedural import RECIPES, SETS, main, make_set, read_recipe
+from brdffit.textures.procedural import ON_DEMAND, RECIPES, SETS, main, make_set, read_recipe
 from brdffit.textures.reading import read_texture_set
 from brdffit.textures.texture_set import TextureSet
 
@@ -46,6 +46,20 @@ def test_the_same_recipe_gives_the_same_bytes(made, tmp_path: Path) -> None:
     for path, _ in texture_set.inputs:
         assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name
     assert len(list(tmp_path.iterdir())) == len(texture_set.inputs), "a temporary file was left"
+
+
+def test_large_sets_are_made_where_they_are_named(tmp_path: Path) -> None:
+    (name,) = ON_DEMAND
+    assert read_recipe(RECIPES / f"{name}.toml")[0].size == 4096
+    first, second = (make_set(name, tmp_path / str(k), SIZE) for k in range(2))
+    (height,) = first.glob("*_Height.png")
+    assert height.read_bytes() == (second / height.name).read_bytes()
+    pixels = read_image(height).pixels
+    assert pixels.shape == (SIZE, SIZE, 1) and float(pixels.max()) == 1.0 and float(pixels.min()) == 0.0
+    # It tiles, and strokes run along x more than along y.
+    across, down = (np.abs(np.diff(pixels, axis=axis)).mean() for axis in (1, 0))
+    assert across < 0.8 * down
+    assert np.abs(pixels[0] - pixels[-1]).mean() < 2.0 * down
 
 
 def test_a_tiling_set_has_no_seam(made) -> None:

@@ -1,0 +1,206 @@
+"""A large height map becomes a small set: bands give what all of the map gives, in little memory, or a sentence."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from brdffit import reduction
+from brdffit.cli import main
+from brdffit.errors import InputError, UnknownNameError
+from brdffit.files.image_io import read_image, read_mip_exr, write_mip_exr, write_png
+from brdffit.files.image_rows import ImageRows
+from brdffit.methods import Material, get_method
+from brdffit.pipeline import bake_options
+from brdffit.reduction import bake_levels_from, reduce_set
+from brdffit.roughness import eigenvalues_of_log
+from brdffit.textures import rows
+from brdffit.textures.conversion import to_svbrdf
+from brdffit.textures.procedural import make_set
+from brdffit.textures.rows import LargeSet, open_large
+
+SIZE = 128
+READING = {"height_scale": 5.0}
+
+
+@pytest.fixture(scope="module")
+def strokes(tmp_path_factory):
+    return make_set("brushed-strokes-4k", tmp_path_factory.mktemp("sets") / "strokes", SIZE)
+
+
+def small_bands(monkeypatch, level=2, texels=SIZE * 32):
+    monkeypatch.setattr(rows, "BAND_TEXELS", texels)
+    return level
+
+
+def height_file(folder, size=(64, 64), seed=3):
+    pixels = np.random.default_rng(seed).integers(0, 65536, size).astype(np.uint16)
+    path = folder / "Scratches_Height.png"
+    write_png(path, pixels)
+    return path
+
+
+@pytest.mark.parametrize("wrap", ["tile", "clamp"])
+@pytest.mark.parametrize(("method", "given"), [("bfgs", {}), ("lean", {"pixel_filter": "gaussian"})])
+def test_bands_are_what_all_of_the_map_is(strokes, monkeypatch, wrap, method, given):
+    level = small_bands(monkeypatch)
+    chosen = get_method(method)
+    options = bake_options(chosen, None, given)
+    with LargeSet(open_large(strokes, {**READING, "wrap": wrap}), level, options.min_roughness) as large:
+        assert len(large.bands) == 4
+        banded = reduce_set(large, chosen, options, None).lobes
+    whole = Material(to_svbrdf(open_large(strokes, {**READING, "wrap": wrap}), min_roughness=options.min_roughness))
+    reach = {"reach": (level, level)} if method == "bfgs" else {}
+    expected = chosen.bake(whole, bake_options(chosen, None, {**given, "levels": level + 1, **reach})).lobes
+    assert banded.size == (SIZE >> level, SIZE >> level) and banded.wrap == wrap
+    for name, array in expected[level].svbrdf.arrays().items():
+        if name != "height":
+            # Averages are sums whose order goes around the border; what is fitted is the same to the bit.
+            limit = 0.0 if method == "bfgs" else 2e-6
+            assert float(np.abs(getattr(banded, name) - array).max()) <= limit, name
+
+
+def test_strokes_become_anisotropic_roughness(strokes, tmp_path):
+    report = bake_levels_from(strokes, tmp_path, 2, preview=False, **READING)
+    manifest = json.loads((tmp_path / "strokes" / "manifest.json").read_text())
+    figures = manifest["levels_from"]
+    assert figures["level"] == 2 and figures["size"] == [SIZE, SIZE]
+    assert figures["snr_db"] > figures["averaged_snr_db"] + 3.0
+    assert {each["role"] for each in manifest["inputs"]} >= {"height", "base_color", "roughness", "metallic"}
+    normal = read_mip_exr(tmp_path / "strokes" / "normal.exr", ("X", "Y", "Z"))
+    assert normal[0].shape == (SIZE // 4, SIZE // 4, 3)
+    across, along = eigenvalues_of_log(report.baked.lobes[0].svbrdf.log_roughness)
+    assert float(np.median(across / along)) > 2.0
+    assert any("memory predicted" in note for note in report.notes)
+
+
+def test_a_picture_shows_fit_beside_averaged_and_truth(strokes, tmp_path):
+    bake_levels_from(strokes, tmp_path, 1, method="lean", **READING)
+    assert read_image(tmp_path / "strokes" / "preview.png").width > 400
+
+
+def test_a_height_file_is_a_set_and_its_unknown_scale_is_told(tmp_path):
+    report = bake_levels_from(height_file(tmp_path), tmp_path / "out", 2, method="lean", preview=False)
+    assert report.folder.name == "Scratches_Height"
+    assert any(
+        "is taken to span 1.3 texels (2% of the longer side); give height-scale" in each for each in report.notes
+    )
+    assert any("no roughness or gloss map" in each for each in report.notes)
+
+
+@pytest.mark.parametrize("suffix", ["png", "exr"])
+def test_rows_are_those_of_the_picture(tmp_path, suffix):
+    path = tmp_path / f"height.{suffix}"
+    if suffix == "png":
+        write_png(path, np.random.default_rng(0).integers(0, 65536, (70, 40, 2)).astype(np.uint16))
+    else:
+        sizes = [(70, 130), (35, 65), (17, 32), (8, 16), (4, 8), (2, 4), (1, 2), (1, 1)]
+        write_mip_exr(path, [np.random.default_rng(1).random((*size, 1), np.float32) for size in sizes], ["Y"])
+    whole = read_image(path).pixels
+    with ImageRows(path) as file:
+        # Forward and back again, across the borders of tiles.
+        for first, last in ((0, 7), (60, 70), (3, 66), (69, 70)):
+            assert np.array_equal(file.read(first, last), whole[first:last])
+
+
+def test_a_band_tells_a_channel_as_the_whole_does(tmp_path, monkeypatch):
+    level = small_bands(monkeypatch, texels=64 * 16)
+    pixels = np.repeat(np.random.default_rng(5).integers(0, 65536, (64, 64, 1)), 3, axis=2).astype(np.uint16)
+    pixels[:3, :, 1] //= 2
+    write_png(tmp_path / "Some_Height.png", pixels)
+    with LargeSet(open_large(tmp_path, READING), level, 0.05) as large:
+        banded, before = large.lobes(32, 48)
+    whole = to_svbrdf(open_large(tmp_path, READING), min_roughness=0.05)
+    assert np.array_equal(banded.normal[before : before + 16], whole.normal[32:48])
+
+
+@pytest.mark.parametrize(
+    ("level", "size", "expected"),
+    [
+        (7, (64, 64), "levels cannot be taken from 7 on, expected 1 to 6"),
+        (3, (60, 64), "64x60, expected sides that are multiples of 8"),
+    ],
+)
+def test_levels_that_there_are_not_are_refused(tmp_path, level, size, expected):
+    path = height_file(tmp_path, size)
+    found = CliRunner().invoke(main, ["bake", str(path), "-o", str(tmp_path / "out"), "--levels-from", str(level)])
+    assert found.exit_code == 1 and expected in found.output, found.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_sets_that_cannot_be_read_in_rows_are_refused(tmp_path):
+    folder = make_set("hammered-metal", tmp_path / "hammered-metal", 32)
+    with pytest.raises(InputError, match="has a normal map.*give the height map's file instead"):
+        bake_levels_from(folder, tmp_path / "out", 1)
+    flat = tmp_path / "flat"
+    make_set("plaster-wall", flat, 32)
+    (height,) = flat.glob("*Height*")
+    height.unlink()
+    with pytest.raises(InputError, match="has no height map"):
+        bake_levels_from(flat, tmp_path / "out", 1)
+    mixed = tmp_path / "mixed"
+    mixed.mkdir()
+    height_file(mixed)
+    write_png(mixed / "Scratches_Roughness.png", np.full((32, 32), 90, np.uint8) + np.arange(32, dtype=np.uint8))
+    with pytest.raises(InputError, match="is 32x32, expected 64x64 as the largest map"):
+        bake_levels_from(mixed, tmp_path / "out", 1)
+    with pytest.raises(InputError, match="expected 1 or more"):
+        bake_levels_from(mixed, tmp_path / "out", 0)
+    with pytest.raises(UnknownNameError):
+        bake_levels_from(mixed, tmp_path / "out", 1, method="nothing")
+
+
+def test_a_damaged_height_leaves_nothing(tmp_path):
+    path = height_file(tmp_path)
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(InputError, match="truncated or damaged"):
+        bake_levels_from(path, tmp_path / "out", 2, preview=False)
+    assert not (tmp_path / "out").exists()
+    bad = np.ones((8, 8, 1), np.float32)
+    bad[5, 5] = np.nan
+    write_mip_exr(tmp_path / "x_height.exr", [bad, *(np.ones((k, k, 1), np.float32) for k in (4, 2, 1))], ["Y"])
+    with pytest.raises(InputError, match="holds NaN or infinity in rows 0 to 8"):
+        bake_levels_from(tmp_path / "x_height.exr", tmp_path / "out", 1, preview=False)
+
+
+def test_what_memory_does_not_hold_is_refused_before_the_run(strokes, tmp_path, monkeypatch):
+    monkeypatch.setattr(reduction, "free_memory", lambda: 100 << 20)
+    monkeypatch.setattr(reduction, "BYTES_PER_TEXEL", 12000)
+    with pytest.raises(InputError, match=r"128x128 texels become 32x32 in about 0.21 GiB.* 0.10 GiB are free"):
+        bake_levels_from(strokes, tmp_path, 2, **READING)
+
+
+_MEASURE = """
+import resource, sys
+from pathlib import Path
+from brdffit.methods import get_method
+from brdffit.pipeline import bake_options
+from brdffit.reduction import bake_levels_from, predicted_memory
+from brdffit.textures import rows
+from brdffit.textures.rows import LargeSet, open_large
+
+folder, out, small = sys.argv[1:]
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+rows.BAND_TEXELS = 1 << 19
+bake_levels_from(small, out, 3, height_scale=5.0, quality="draft")
+before = peak()
+with LargeSet(open_large(folder, {}), 3, 0.05) as large:
+    predicted = predicted_memory(large)
+bake_levels_from(folder, out, 3, height_scale=5.0, quality="draft")
+print(predicted, peak() - before)
+"""
+
+
+@pytest.mark.slow
+def test_memory_stays_within_what_was_predicted(strokes, tmp_path):
+    pixels = np.random.default_rng(1).integers(0, 65536, (2048, 2048)).astype(np.uint16)
+    write_png(tmp_path / "Large_Height.png", pixels)
+    command = [sys.executable, "-c", _MEASURE, str(tmp_path / "Large_Height.png"), str(tmp_path / "out"), str(strokes)]
+    found = subprocess.run(command, capture_output=True, text=True, check=True, cwd=Path(__file__).parent.parent)
+    predicted, grown = map(int, found.stdout.split())
+    # All of it as lobes would take four times as much.
+    assert 0.3 * predicted < grown < predicted < 2048 * 2048 * reduction.BYTES_PER_TEXEL / 2, (predicted, grown)
