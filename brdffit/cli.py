@@ -172,13 +172,12 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
 @click.option("--truth", **choice("maps", "microgeometry"), show_default="maps", help="The maps, or the height traced.")
 @click.option("--bounces", type=click.IntRange(min=0), default=1, help="Of light on a traced height.")
 @click.option("--through-probe", metavar="ENGINE", help="Light also as this engine does, see `brdffit probe --for`.")
-@click.option("--neural", metavar="FILE", help="A neural material of the set, shown beside the methods.")
 @reading_options
 @click.pass_context
 def compare(
     context: click.Context, sources: tuple[str, ...], output: Path | None, records: str | None,
-    scene_file: Path | None, truth: str | None, bounces: int, neural: str | None, through_probe: str | None,
-    assigned: dict[str, str], **asked: Any,
+    scene_file: Path | None, truth: str | None, bounces: int, through_probe: str | None, assigned: dict[str, str],
+    **asked: Any,
 ) -> None:  # fmt: skip
     """Bake each SET by every method, hold them against the reference, and write a report."""
     from brdffit.comparison.console import compare_to_folder, print_summary, redraw
@@ -196,17 +195,17 @@ def compare(
         refuse_beside_scene(context, ("scene_file", "output", "methods", "quick", "threads"))
         page = compare_by_plan(scene_file, output or "report", **given)
     else:
-        chosen = CompareOptions.of(reading=reading, **given)
-        chosen = dataclasses.replace(chosen, neural=neural, through_probe=through_probe)
         make = None
         if truth == "microgeometry":
-            from brdffit.comparison.traced import traced_truth, with_truth
+            from brdffit.comparison.traced import methods_of_table, traced_truth
+            from brdffit.microgeometry.tracer import Effects
 
-            chosen, make = (
-                with_truth(chosen),
-                functools.partial(traced_truth, bounces=bounces, threads=given.get("threads")),
-            )
-        page = compare_to_folder(sources, output or "report", chosen, make)
+            make = functools.partial(traced_truth, effects=Effects(bounces=bounces), threads=given.get("threads"))
+            given = {"methods": methods_of_table(given)} | given
+        chosen = dataclasses.replace(
+            CompareOptions.of(reading=reading, **given), truth=make, through_probe=through_probe
+        )
+        page = compare_to_folder(sources, output or "report", chosen)
     print_summary(page)
 
 

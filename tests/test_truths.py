@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from export_support import random_svbrdf
@@ -127,7 +129,7 @@ def test_a_comparison_with_another_truth():
     ask = CompareOptions(**{**vars(ask), "pixels": 32, "frames": 4, "pairs": 512})
     # A copy of the maps is another truth too, and is drawn by the compiled loops, in the same views.
     plain, hidden = (
-        compare([base], ask, truth=truth)[0].sets[0]
+        compare([base], dataclasses.replace(ask, truth=truth))[0].sets[0]
         for truth in (lambda read: read.svbrdf.replace(), lambda read: Hidden(read.svbrdf))
     )
     assert any("Hidden" in note for note in hidden.notes) and not any("Hidden" in note for note in plain.notes)

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from brdffit.comparison.options import CompareOptions, Listener, PictureFiles, variant
-from brdffit.comparison.set_comparison import MakeTruth, SetComparison, fit_of
+from brdffit.comparison.set_comparison import SetComparison, fit_of
 from brdffit.comparison.surroundings import surroundings_of
-from brdffit.comparison.traced import NEURAL, NEURAL_SUMMARY
 from brdffit.comparison.views import Studio
 from brdffit.machine import machine
 from brdffit.methods import method_names
@@ -31,7 +30,6 @@ def compare(
     sources: Sequence[str | os.PathLike[str] | TextureSet | Svbrdf],
     asked: CompareOptions | Sequence[CompareOptions] = CompareOptions(),  # noqa: B008
     *,
-    truth: MakeTruth | None = None,
     command: str = "",
     listener: Listener | None = None,
 ) -> tuple[Comparison, PictureFiles]:
@@ -40,8 +38,6 @@ def compare(
     Args:
         sources: folders of textures, .gltf, .glb or .mtlx files, TextureSets or Svbrdfs.
         asked: what, and how closely; one for all sets, or one for each (of the same methods).
-        truth: makes what pictures and pairs of light and viewer are compared with, of a set as it was read; None: its
-            SVBRDF.
         command: that does the same again, for the record.
         listener: told of phases and texels.
 
@@ -60,9 +56,7 @@ def compare(
     pictures: PictureFiles = {}
     for number, source in enumerate(sources):
         name = _free_name(_name(source, number), [result.name for result in results])
-        work = SetComparison(
-            name, source, asked_of_each[number], methods, _studio(asked_of_each[number]), listener, truth
-        )
+        work = SetComparison(name, source, asked_of_each[number], methods, _studio(asked_of_each[number]), listener)
         results.append(work.run())
         pictures.update(work.pictures)
     options: dict[str, Any] = {name: _plain(value) for name, value in asdict(asked.shared).items()}
@@ -78,7 +72,7 @@ def compare(
         methods=[
             MethodInfo(name=name, summary=variant(name, asked.options)[0].summary, fit=name == fit_of(methods))
             for name in methods
-        ] + ([MethodInfo(name=NEURAL, summary=NEURAL_SUMMARY)] if asked.neural else []),
+        ],
         sets=results,
         seconds=time.perf_counter() - began,
     )  # fmt: skip

@@ -22,7 +22,6 @@ from brdffit.report.summary import DISTANCES, groups, level_table, overall, summ
 
 if TYPE_CHECKING:
     from brdffit.comparison.options import CompareOptions
-    from brdffit.comparison.set_comparison import MakeTruth
 
 Path_ = str | os.PathLike[str]
 #: Columns where no terminal sets them.
@@ -70,13 +69,11 @@ def compare_to_folder(
     sources: Sequence[Any],
     folder: Path_,
     asked: CompareOptions | Sequence[CompareOptions],
-    truth: MakeTruth | None = None,
 ) -> Written:
     """Compare sets and write the report; what was in the folder stays until all is done.
 
     Args:
         sources: sets, see ``compare``. folder: of the report. asked: what, for all sets or for each.
-        truth: what they are compared with, see ``compare``.
 
     Raises:
         InputError, UnknownNameError, OutputError: see ``compare`` and ``write_report``.
@@ -88,7 +85,7 @@ def compare_to_folder(
     check_report_folder(folder)
     command = shlex.join(["brdffit", *sys.argv[1:]])
     with ComparisonDisplay() as display:
-        comparison, pictures = compare(sources, asked, truth=truth, command=command, listener=display)
+        comparison, pictures = compare(sources, asked, command=command, listener=display)
         display.phase("drawing the page")
         return Written(comparison, write_report(comparison, pictures, folder))
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+from brdffit.appearance import Truth
 from brdffit.fitting.options import FitOptions
-from brdffit.methods import Method, get_method, method_names, one_of
+from brdffit.methods import Material, Method, get_method, method_names, one_of
 from brdffit.options import BakeOptions, known_options, make_options, refuse_unknown
 from brdffit.render.lights import Lights
 from brdffit.render.terms import Terms
 from brdffit.report.records import PROBE_LIGHTING
 
+#: Makes a truth of what a set holds.
+MakeTruth = Callable[[Material], Truth]
 SMALL_LIGHTS, LAMPS, ENVIRONMENT = LIGHTINGS = "small lights", "lamps", "environment"
 #: The environment as an engine has it: views of it stand beside those of the environment itself.
 THROUGH_PROBE = PROBE_LIGHTING
@@ -39,9 +42,10 @@ class CompareOptions:
         unread: roles of maps that the fit is not given; the reference and the baselines see all.
         options: of the bake, each for those methods that have it, see ``brdffit methods NAME``.
         reading: how a folder is read, see ``read_texture_set``.
-        neural: file of a neural material that is shown beside the methods, or None.
         through_probe: engine whose probe lights the views of the environment once more (`brdffit probe --for`), or
             None.
+        truth: makes what pictures and pairs of light and viewer are compared with, of a set as it was read; None: its
+            SVBRDF.
     """
 
     methods: tuple[str, ...] = ()
@@ -58,8 +62,8 @@ class CompareOptions:
     unread: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     reading: Mapping[str, Any] = field(default_factory=dict)
-    neural: str | None = None
     through_probe: str | None = None
+    truth: MakeTruth | None = None
 
     @classmethod
     def of(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,7 +14,7 @@ from brdffit.appearance import Truth
 from brdffit.comparison.lobes import lobe_view, model_of, representative_texels, same_place
 from brdffit.comparison.maps import map_strip
 from brdffit.comparison.options import CompareOptions, Listener, PictureFiles, variant
-from brdffit.comparison.traced import NEURAL, neural_result, tilted_views
+from brdffit.comparison.traced import tilted_views
 from brdffit.comparison.views import Pyramids, Studio, all_views, distances_of
 from brdffit.errors import InputError
 from brdffit.fitting.batch import model_kernels
@@ -41,8 +41,6 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 _LOBE_LEVELS = (1, 3, 5)
 _MEASURE_NODES, _MEASURE_SAMPLES = 1024, (16, 96)
 _NO_LOBES = "It bakes no lobes: half-angle figures, lobes and roughness maps are left out."
-#: Makes a truth of what a set holds.
-MakeTruth = Callable[[Material], Truth]
 #: Side of the picture on which the texels of the lobes are marked, at most.
 _OVERVIEW = 256
 
@@ -57,7 +55,7 @@ class SetComparison:
 
     def __init__(
         self, name: str, source: Any, asked: CompareOptions, methods: Sequence[str], studio: Studio,
-        listener: Listener | None, truth: MakeTruth | None = None,
+        listener: Listener | None,
     ) -> None:  # fmt: skip
         self.name, self.asked, self.methods, self.studio, self.listener = name, asked, methods, studio, listener
         self.seconds: dict[str, float] = {}
@@ -69,7 +67,7 @@ class SetComparison:
             # What is rendered and measured; a cut-out is seen before a black ground.
             self.base = self.read.material.svbrdf.over_black()
             # What pictures and pairs are compared with.
-            self.truth: Svbrdf | Truth = self.base if truth is None else truth(self.read.material)
+            self.truth: Svbrdf | Truth = self.base if asked.truth is None else asked.truth(self.read.material)
 
     def run(self) -> SetResult:
         """Everything, in order."""
@@ -78,9 +76,6 @@ class SetComparison:
         pyramids = {name: [level.svbrdf.over_black() for level in pyramid.levels] for name, pyramid in lobes_of.items()}
         # What is no pyramid of lobes is drawn by what it says of itself.
         drawn = {name: pyramids.get(name, each.appearance) for name, each in baked.items()}
-        if self.asked.neural is not None:
-            baked[NEURAL] = neural_result(self.asked.neural, self.base.size)
-            seconds[NEURAL], drawn[NEURAL] = 0.0, baked[NEURAL].appearance
         fit = fit_of(list(baked))
         depth = min(len(each.sizes) for each in baked.values())
         kept = self._kept(pyramids[fit], fit) if fit in pyramids else {}

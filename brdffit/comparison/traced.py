@@ -9,57 +9,46 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Iterable, Iterator
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.appearance import Truth
-from brdffit.comparison.options import SMALL_LIGHTS, CompareOptions
+from brdffit.comparison.options import SMALL_LIGHTS
 from brdffit.comparison.views import Announce, Drawn, Still, Studio, pictures_of, take, view_of
-from brdffit.methods import Baked, Material
+from brdffit.methods import Material
 from brdffit.microgeometry.tracer import Effects, Microgeometry
-from brdffit.options import BakeOptions
 from brdffit.render.lights import Lights
 from brdffit.render.scenes import tilted
 from brdffit.report.records import LEVEL_GROUP, View
 from brdffit.svbrdf import Svbrdf
 
-#: Methods of the table where none are named, before a neural material.
-METHODS = ("naive", "vmf", "lean", "bfgs", "height", "ndm")
-NEURAL = "neural"
-NEURAL_SUMMARY = "a neural material trained on the traced height (brdffit neural train)"
+#: Methods of the table where none are named, and what joins them where an option of its own is given.
+METHODS, NEURAL = ("naive", "vmf", "lean", "bfgs", "height", "ndm"), "neural"
 #: Degrees between the view and the plane's normal, and levels that are seen.
 _TILT, _LEVELS = 45.0, 8
 #: A little to the left, and from above.
 _LIGHT = np.array([-0.5, 0.35, 1.0])
 
 
-def traced_truth(material: Material, bounces: int = 1, threads: int | None = None) -> Microgeometry:
-    """The height of a set as a surface.
+def traced_truth(
+    material: Material,
+    effects: Effects = Effects(bounces=1),  # noqa: B008
+    threads: int | None = None,
+) -> Microgeometry:
+    """The height of a set as a surface, with these effects.
 
     Raises:
         InputError: when the set has no height map.
     """
-    return Microgeometry.of(material.svbrdf, Effects(bounces=bounces), threads=threads)
+    return Microgeometry.of(material.svbrdf, effects, threads=threads)
 
 
-def neural_result(path: str, size: tuple[int, int]) -> Baked:
-    """A trained material as a result among others, for a base (h, w).
-
-    Raises:
-        InputError: when the file is none, or is damaged.
-    """
-    from brdffit.neural.material import read_material
-
-    return Baked(NEURAL, BakeOptions(), read_material(Path(path), size))
-
-
-def with_truth(asked: CompareOptions) -> CompareOptions:
-    """What is asked of a comparison with a traced height, where nothing else is said."""
-    return asked if asked.methods else dataclasses.replace(asked, methods=METHODS)
+def methods_of_table(options: Iterable[str]) -> tuple[str, ...]:
+    """Methods of a table where none are named: a neural material is one where an option of its is given."""
+    return (*METHODS, NEURAL) if any(name.startswith(f"{NEURAL}.") for name in options) else METHODS
 
 
 def tilted_views(

@@ -11,12 +11,15 @@ from typing import Any
 import msgspec
 
 from brdffit.comparison.options import ENVIRONMENT, SMALL_LIGHTS, CompareOptions
+from brdffit.comparison.traced import traced_truth
 from brdffit.methods import Baked
+from brdffit.microgeometry.tracer import Effects
 from brdffit.pipeline import BakeReport, ProgressListener, bake_to_folder
 from brdffit.planning.description import PROCEDURAL, SceneFile
 from brdffit.planning.lighting import lights_of
 from brdffit.planning.plan import Plan, SurfacePlan
 from brdffit.planning.surface import SurfaceWork, Tell, texture_set_of
+from brdffit.planning.traced import OFF, effects_without
 from brdffit.render.terms import Terms
 from brdffit.textures.texture_set import TextureSet
 
@@ -73,6 +76,8 @@ def comparisons(
 ) -> tuple[list[TextureSet], list[CompareOptions]]:
     """The surfaces of a scene, and what a comparison is asked of each: no more than its plan has on.
 
+    A surface whose plan calls for parallax, shadowing or interreflection is compared with its height traced with them.
+
     Args:
         methods, quick, threads: as ``CompareOptions.of``.
 
@@ -81,7 +86,7 @@ def comparisons(
     """
     sources, asked = [], []
     for surface, planned in zip(scene.surfaces, plan.surfaces, strict=True):
-        lit = [SMALL_LIGHTS] if scene.lights else []
+        lit, effects = [SMALL_LIGHTS] if scene.lights else [], traced_effects(planned)
         usual = CompareOptions.of(methods=methods, quick=quick, threads=threads)
         sources.append(texture_set_of(surface))
         asked.append(
@@ -93,10 +98,17 @@ def comparisons(
                 lit=tuple(lit + [ENVIRONMENT] * planned.environment),
                 terms=Terms(**dict.fromkeys(planned.terms, False)),
                 unread=planned.unread,
+                truth=functools.partial(traced_truth, effects=effects, threads=threads) if effects else None,
                 options={**planned.options, "threads": threads},
             )
         )
     return sources, asked
+
+
+def traced_effects(planned: SurfacePlan) -> Effects | None:
+    """What the plan of a surface wants of a traced height; None where its maps will do."""
+    on = {row.name for row in planned.effects if row.on and row.name in OFF}
+    return effects_without([name for name in OFF if name not in on]) if on else None
 
 
 def _notes(work: SurfaceWork, planned: SurfacePlan, baked: Baked, seconds: float) -> dict[str, Any]:
