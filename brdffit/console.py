@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -103,6 +104,8 @@ def print_report(report: BakeReport) -> None:
     console.print(", ".join(f"{_PHASES.get(name, name)} {seconds:.1f} s" for name, seconds in report.seconds.items()))
     preview = report.folder / "preview.png"
     console.print(f"{report.folder}" + (f" (see {preview})" if preview.exists() else ""))
+    if report.baked.lobes is not None and report.manifest.get("model") == "ggx":
+        console.print(f"Moving, beside averages, in a browser: brdffit view {shlex.quote(str(report.folder))} --open")
 
 
 def print_options(method: Method, plain: bool = False) -> None:

@@ -197,7 +197,7 @@ def bake_to_folder(
     ) -> dict[str, Any]:
         return export.write_baked(
             baked, folder, name=read.name, preset=preset, bits=bits, compress=compress, manifest=manifest,
-            preview=picture,
+            preview=picture, told=None if progress is None else progress.phase,
         )  # fmt: skip
 
     manifest, measured = finish(read, baked, phases, write=write, draw=draw, annotate=annotate)

@@ -141,3 +141,21 @@ def test_why_a_rectangle_is_shown_is_noted(tmp_path):
     _, document, _, report = written(tmp_path / "out", source)
     assert any("shows a rectangle" in note and "damaged" in note for note in report.notes)
     assert len(document["accessors"]) == 5
+
+
+def test_a_listener_is_told_of_each_picture(tmp_path):
+    class Listener:
+        def __init__(self):
+            self.phases = []
+
+        def phase(self, name):
+            self.phases.append(name)
+
+        def __call__(self, *level):
+            pass
+
+    listener = Listener()
+    report = bake_to_folder(colours([0.1] * 3, [0.3] * 3), tmp_path, method="naive", preview=False, progress=listener)
+    pictures = 4 + len(report.manifest["pictures"])
+    told = [name for name in listener.phases if name.endswith("written")]
+    assert len(told) == pictures and told[-1] == f"measuring and writing: {pictures} of {pictures} pictures written"

@@ -19,7 +19,7 @@ from brdffit.export.metallic import base_color_and_metallic, reflectance, tinted
 from brdffit.roughness import eigenvalues_of_log
 from brdffit.svbrdf import Svbrdf
 
-#: Texels of a level that are looked at.
+#: Texels of a level that are looked at, for normals and for what is missing of F0.
 _TEXELS = 4096
 #: Scales that are tried: powers of the square root of 2.
 _SMALLEST_EXPONENT = -12
@@ -61,13 +61,20 @@ def factors_of(levels: Sequence[Svbrdf]) -> Factors:
 
 def _specular_factor(levels: Sequence[Svbrdf]) -> float | None:
     """Largest specular colour; None where base colour and metallic give the colours of every level back."""
-    largest, needed = 0.0, False
-    for level in levels:
-        base, metallic = base_color_and_metallic(level.specular, level.diffuse)
-        missing = np.abs(reflectance(base, metallic) - level.specular).max(axis=-1)
-        needed = needed or float(missing.mean()) > _MISSING
-        largest = max(largest, float(tinted(level.specular, level.diffuse)[2].max()))
-    return math.ceil(largest * 1e4) / 1e4 if needed and largest > 0.0 else None
+    if not any(_lacks_specular(level) for level in levels):
+        return None
+    largest = max(float(tinted(level.specular, level.diffuse)[2].max()) for level in levels)
+    return max(math.ceil(largest * 1e4) / 1e4, 1e-4)
+
+
+def _lacks_specular(level: Svbrdf) -> bool:
+    """Whether F0 is lost in base colour and metallic, in the mean of some texels."""
+    specular, diffuse = level.specular.reshape(-1, 3), level.diffuse.reshape(-1, 3)
+    if len(specular) > _TEXELS:
+        some = np.random.default_rng(0).choice(len(specular), _TEXELS, replace=False)
+        specular, diffuse = specular[some], diffuse[some]
+    base, metallic = base_color_and_metallic(specular, diffuse)
+    return float(np.abs(reflectance(base, metallic) - specular).max(axis=-1).mean()) > _MISSING
 
 
 def _normal_scale(levels: Sequence[Svbrdf]) -> float:

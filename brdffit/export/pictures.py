@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import io
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,25 @@ _TEXELS_PER_BAND = 1 << 20
 _PICTURES_AT_ONCE = 2
 #: Float arithmetic may leave [0, 1] by a few ulps where nothing is lost.
 _SLACK = 1e-5
+
+
+class Count:
+    """Counts pictures that are written, from any thread, and tells of each."""
+
+    def __init__(self, told: Callable[[str], None] | None = None, total: int = 0) -> None:
+        self._told, self._done, self._total, self._lock = told, 0, total, threading.Lock()
+
+    def more(self, count: int) -> None:
+        """So many more are to be written."""
+        with self._lock:
+            self._total += count
+
+    def one_done(self) -> None:
+        """One is written."""
+        with self._lock:
+            self._done += 1
+            if self._told is not None:
+                self._told(f"measuring and writing: {self._done} of {self._total} pictures written")
 
 
 def check_preset(preset: Preset, bits: int = 8, size: tuple[int, int] | None = None) -> None:
@@ -77,7 +97,7 @@ def check_preset(preset: Preset, bits: int = 8, size: tuple[int, int] | None = N
 
 def write_pictures(
     pyramid: Pyramid, fresh: Path, name: str, preset: Preset, bits: int = 8, compress: str = "good",
-    geometry: Geometry | None = None,
+    geometry: Geometry | None = None, count: Count | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write the files of a preset below ``fresh``.
 
@@ -89,6 +109,7 @@ def write_pictures(
         bits: 8; or 16: PNG of 16 bits, and floats of 16 bits instead of blocks in DDS and KTX2.
         compress: one of COMPRESSIONS, how long encoders of blocks may take.
         geometry: what a GLB shows; None: a rectangle.
+        count: is told of each picture.
 
     Returns:
         For the manifest: ``pictures``, what is said of each role, and ``stored``, what is left of the lobes.
@@ -106,9 +127,14 @@ def write_pictures(
     cost = Cost(levels[: len(pyramid)], preset.normal_y, drawing.factors)
     chosen = [with_alpha(picture, levels[0]) for picture in wanted_pictures(preset, pyramid, drawing.factors)]
 
+    count = count or Count()
+    count.more(len(chosen))
+
     def write(picture: Picture) -> tuple[dict[str, Any], bytes]:
         path = folder / f"{name}_{picture.role}.{preset.container}"
-        return _write_picture(path, picture, preset, bits, compress, drawing, cost)
+        made = _write_picture(path, picture, preset, bits, compress, drawing, cost)
+        count.one_done()
+        return made
 
     # Two at a time: the encoder of UASTC uses one core.
     with ThreadPoolExecutor(_PICTURES_AT_ONCE) as pool:

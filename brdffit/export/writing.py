@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from brdffit.errors import InputError, OutputError
 from brdffit.export.geometry import Geometry, geometry_of
 from brdffit.export.manifest import FILE_NAME, file_digest, foreign_file, stable_digest, to_json
-from brdffit.export.pictures import bands, check_preset, write_pictures
+from brdffit.export.pictures import Count, bands, check_preset, write_pictures
 from brdffit.export.presets import get_preset
 from brdffit.files import atomic
 from brdffit.files.image_io import read_mip_exr, write_mip_exr, write_png
@@ -60,6 +60,7 @@ def write_baked(
     compress: str = "good",
     manifest: Mapping[str, Any] | Callable[[], Mapping[str, Any]],
     preview: NDArray | Callable[[], NDArray] | None = None,
+    told: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Write a result into ``folder`` (OUT/<set>), which is replaced as a whole or left as it was.
 
@@ -79,6 +80,7 @@ def write_baked(
         manifest: from `build_manifest`.
         preview: (H, W, 3) uint8, from `make_preview`. Both may be functions, which are called when all else is written:
             what they wait for is then made meanwhile.
+        told: is called with a line on how many pictures are written, after each and from any thread.
 
     Returns:
         The manifest as written.
@@ -91,12 +93,14 @@ def write_baked(
     check_preset(chosen, bits, baked.sizes[0])
     with atomic.replacing(folder, foreign_file) as fresh:
         pictures: dict[str, Any] = {"pictures": {}}
+        images = baked.images()
+        count = Count(told, len(images))
         with ThreadPoolExecutor(_FILES_AT_ONCE) as pool:
-            written = [pool.submit(_write_exr_file, image, fresh, baked.wrap) for image in baked.images()]
+            written = [pool.submit(_write_exr_file, image, fresh, baked.wrap, count) for image in images]
             try:
                 if baked.lobes is not None:
                     geometry = _geometry(baked) if chosen.container == "glb" else None
-                    pictures = write_pictures(baked.lobes, fresh, name, chosen, bits, compress, geometry)
+                    pictures = write_pictures(baked.lobes, fresh, name, chosen, bits, compress, geometry, count)
                 for each in written:
                     each.result()
             except BaseException:
@@ -135,7 +139,7 @@ def _geometry(baked: Baked) -> Geometry | None:
     return geometry
 
 
-def _write_exr_file(image: Image, fresh: Path, wrap: str) -> None:
+def _write_exr_file(image: Image, fresh: Path, wrap: str, count: Count) -> None:
     """Write an EXR file down to 1x1, and see that all of it is there."""
     levels = [_whole_level(image, k) for k in range(len(image.sizes))]
     for size in level_sizes(image.sizes[0])[len(levels) :]:
@@ -144,6 +148,7 @@ def _write_exr_file(image: Image, fresh: Path, wrap: str) -> None:
     path = fresh / f"{image.name}.exr"
     write_mip_exr(path, levels, image.channels)
     _verify(path, levels, image.channels)
+    count.one_done()
 
 
 def _verify(path: Path, levels: Sequence[NDArray], channels: Sequence[str]) -> None:
