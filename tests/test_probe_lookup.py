@@ -60,9 +60,7 @@ def test_the_page_compares_everything(tmp_path):
     }  # fmt: skip
     records = json.loads((page.parent / "records.json").read_text())
     error = {each["method"]: each["error"] for each in records["methods"]}
-    # A finding, not a wish: beside a lamp of one texel the tree of tolerance 0.001 errs by 0.0019, since what it lacks
-    # of a lobe is made good from other nodes. What a user is given is measured against brute force and tried again.
-    assert error["tree 0.005"] < 0.0075 and error["tree 0.001"] < 0.002
+    assert error["tree 0.005"] < 0.005 and error["tree 0.001"] < 0.001
     # What Manson and Sloan name as an extension: bright texels apart.
     assert error["ggx-const-8, split 10"] < 0.5 * error["ggx-const-8"]
     harmonics = {each["order"]: round(each["error"], 4) for each in records["preimages"]["harmonics"]}

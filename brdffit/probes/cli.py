@@ -134,6 +134,7 @@ def table(
     paper: bool,
 ) -> None:  # fmt: skip
     """Optimise a table of the second pass of Manson and Sloan 2016, on one core; resumes level by level."""
+    from brdffit.probes.report_pictures import draw_histories
     from brdffit.probes.table_files import load_table, make_table
     from brdffit.probes.table_fit import TableRequest
 
@@ -142,4 +143,6 @@ def table(
     command += "".join(f" --begin-with {Path(each).stem}" for each in begin_with) + " --paper" * paper
     made = make_table(output, request, curve, command, [load_table(each) for each in begin_with], click.echo)
     mean = sum(made.errors.values()) / len(made.errors)
-    click.echo(f"{output}: mean error {mean:.4f} over {len(made.errors)} levels.")
+    picture = output.with_suffix(".png")
+    draw_histories([made], picture)
+    click.echo(f"{output}: mean error {mean:.4f} over {len(made.errors)} levels. How the searches went: {picture}")

@@ -27,6 +27,7 @@ from brdffit.probes.parallel import default_threads
 from brdffit.probes.published import TABLE_1, TABLE_1_SAMPLES, TABLE_3, TABLE_3_ORDERS
 from brdffit.probes.reading import as_cube, read_surroundings
 from brdffit.probes.report_pictures import draw_front, draw_histories, draw_levels, draw_point_responses
+from brdffit.probes.seams import seam_ratios
 from brdffit.probes.shelf import find_environments
 from brdffit.probes.split_sum import split_errors
 from brdffit.probes.table_files import load_table, shipped_tables
@@ -59,6 +60,10 @@ def compare_to_folder(
         for name, cube in cubes.items():
             tell(f"{name}: methods")
             records["methods"] += measure_methods(name, cube, threads, 64 if quick else 256)
+        records["seams"] = []
+        for name, cube in cubes.items():
+            tell(f"{name}: seams")
+            records["seams"].append(measure_seams(name, cube, threads, 3 if quick else 8))
         records["lookup"] = []
         for name, cube in cubes.items():
             tell(f"{name}: look-ups")
@@ -67,7 +72,7 @@ def compare_to_folder(
         records["split_sum"] = split_errors(list(cubes.values()), 200 if quick else 1000, threads)
         draw_front(records["methods"], folder / "front.png")
         draw_point_responses(folder / "points.png")
-        draw_histories(folder / "searches.png")
+        draw_histories([load_table(name) for name in shipped_tables()], folder / "searches.png")
         for name, cube in cubes.items():
             draw_levels(cube, folder / f"levels-{name}.png", threads)
         (folder / "records.json").write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
@@ -203,6 +208,21 @@ def _with_threads(options: FilterOptions, threads: int) -> FilterOptions:
     from dataclasses import replace
 
     return replace(options, threads=threads)
+
+
+def measure_seams(name: str, cube: NDArray, threads: int, turns: int) -> dict[str, Any]:
+    """Steps of the tree's error across edges over those beside them: as the environment stands, and turned about."""
+    curve, levels = get_curve("activision", _LEVELS, BASE_SIZE), (3, 4, 5)
+    requests = [level_requests(curve, BASE_SIZE, BASE_SIZE, keep_narrow=True)[level] for level in levels]
+    options = FilterOptions("tree", 0.005, threads=threads)
+    upright, turned = (seam_ratios(cube, requests, options, count) for count in (1, turns))
+    return {
+        "environment": name,
+        "turns": turns,
+        "levels": levels,
+        "upright": [*upright.values()],
+        "turned": [*turned.values()],
+    }
 
 
 def measure_lookups(name: str, cube: NDArray, threads: int, count: int) -> list[dict[str, Any]]:

@@ -82,6 +82,7 @@ def page(records: dict[str, Any]) -> str:
         '<img src="searches.png" alt="error over time of the searches">',
         "<h2>One bright texel in the middle of a face, on an edge, at a corner (figure 8)</h2>",
         '<img src="points.png" alt="point responses">',
+        *_seam_section(records.get("seams", [])),
         *_cmgen_section(records.get("cmgen", [])),
         "<h2>What the engine's look-up adds</h2>",
         "<p>Exact texels read trilinearly at 12 roughnesses from 0.05 to 1, in random directions. "
@@ -101,6 +102,23 @@ def page(records: dict[str, Any]) -> str:
         *(f'<h3>{escape(name)}</h3><img src="levels-{escape(name)}.png" alt="levels">' for name in environments),
     ]
     return _PAGE.replace("BODY", "\n".join(sections))
+
+
+def _seam_section(records: list[dict[str, Any]]) -> list[str]:
+    if not records:
+        return []
+    levels = records[0]["levels"]
+    rows = [
+        [each["environment"], *(f"{value:.2f}" for value in [*each["upright"], *each["turned"]])] for each in records
+    ]
+    head = [f"level {level}{how}" for how in ("", ", turned") for level in levels]
+    return [
+        "<h2>Seams</h2>",
+        "<p>Steps of the relative error across the edges of the cube over those just inside of them, the tree at a "
+        "tolerance of 0.005. As the environment stands, and summed over "
+        f"{records[0]['turns']} random orientations: one alone tells as much of where its lamps lie as of seams.</p>",
+        _html_table(["environment", *head], rows),
+    ]
 
 
 def _cmgen_section(records: list[dict[str, Any]]) -> list[str]:
@@ -153,15 +171,17 @@ def _number(value: float | None) -> str:
 def _html_table(head: list[str], rows: list[list[str]]) -> str:
     top = "".join(f"<th>{escape(each)}</th>" for each in head)
     body = "\n".join("<tr>" + "".join(f"<td>{escape(each)}</td>" for each in row) + "</tr>" for row in rows)
-    return f"<table><tr>{top}</tr>\n{body}</table>"
+    return f'<div class="scroll"><table><tr>{top}</tr>\n{body}</table></div>'
 
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>Reflection probes, compared</title>
 <style>
-body { font: 15px/1.5 sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em; color: #222; background: #fff }
-table { border-collapse: collapse; margin: 1em 0; font-variant-numeric: tabular-nums }
-th, td { padding: .2em .7em; border-bottom: 1px solid #ddd; text-align: right }
+body { font: 15px/1.5 sans-serif; max-width: 76em; margin: 2em auto; padding: 0 1em; color: #222; background: #fff }
+.scroll { overflow-x: auto }
+table { border-collapse: collapse; margin: 1em 0; font-size: 13px; font-variant-numeric: tabular-nums }
+th { overflow-wrap: anywhere; vertical-align: bottom }
+th, td { padding: .2em .5em; border-bottom: 1px solid #ddd; text-align: right }
 th:first-child, td:first-child { text-align: left }
 img { max-width: 100% }
 </style></head><body>

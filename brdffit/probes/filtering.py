@@ -193,10 +193,9 @@ def filter_levels(
             level = FilteredLevel(request, resized(cube, request.n).astype(np.float32), 0.0, 0.0, 0.0, 1.0)
         else:
             level = _filtered(make, request, tau_for(options.tolerance) if options.method == "tree" else None)
+            # A level that is not measured keeps its mean: that of exact values may differ where texels are few.
             if measure:
                 level = _checked(level, Exact(source, request, options.threads), make, options, energy)
-            elif options.method == "tree":
-                level = replace(level, radiance=with_energy(level.radiance, energy))
         kept = float(mean_radiance(level.radiance).sum()) / energy if energy > 0.0 else 1.0
         out.append(replace(level, energy=kept))
     return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from brdffit.probes.cubemap import look_up
 from brdffit.probes.curves import get_curve
 from brdffit.probes.filtering import FilterOptions, filter_levels, level_requests
 from brdffit.probes.picture import exposure_of, latlong_directions, toned
-from brdffit.probes.table_files import load_table, shipped_tables
+from brdffit.probes.table_files import TableFile, load_table, shipped_tables
 from brdffit.probes.tables import BASE_SIZE
 
 _WIDTH, _GAP, _TITLE = 224, 6, 18
@@ -49,16 +50,17 @@ def draw_front(methods: list[dict[str, Any]], path: Path) -> None:
     pyplot.close(figure)
 
 
-def draw_histories(path: Path) -> None:
-    """Best error on the searched texels over processor time, for each level of every shipped table."""
+def draw_histories(tables: Sequence[TableFile], path: Path) -> None:
+    """Best error on the searched texels over processor time, and the held-out error at the end, for each level."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    tables = [load_table(name) for name in shipped_tables()]
-    rows = (len(tables) + 2) // 3
-    figure, all_axes = pyplot.subplots(rows, 3, figsize=(11.0, 2.9 * rows), dpi=100, squeeze=False)
+    columns = min(len(tables), 3)
+    rows = (len(tables) + columns - 1) // columns
+    size = (11.0, 2.9 * rows) if columns > 1 else (7.0, 4.5)
+    figure, all_axes = pyplot.subplots(rows, columns, figsize=size, dpi=100, squeeze=False)
     for axes, table in zip(all_axes.flat, tables, strict=False):
         for level in sorted(table.histories):
             seconds, errors, steps = zip(*table.histories[level], strict=True)

@@ -13,8 +13,8 @@ from brdffit.probes.kernels.tree import NODE_FIELDS, filter_by_tree
 from brdffit.probes.lobe import lobe, lobe_integral
 from brdffit.probes.parallel import over_rows
 
-#: The mean error goes about as this times sqrt(tau) (five environments, levels 1 to 6); the sum of bounds is far above.
-_ERROR_OF_TAU = 0.07
+#: The mean error is at most about this times sqrt(tau) (five environments: 0.006 to 0.027); the bounds are far above.
+_ERROR_OF_TAU = 0.035
 #: tau of the first pass, which only finds out how bright the result is.
 _COARSE_TAU = 0.1
 #: alpha, in widths of a texel of the source, from which the sum of K over texels is its integral: in the plane K's
@@ -26,7 +26,7 @@ _WINDOW = 10.0
 
 def tau_for(tolerance: float) -> float:
     """The threshold of a node for a wanted mean relative error."""
-    return (tolerance / _ERROR_OF_TAU) ** 2
+    return min((tolerance / _ERROR_OF_TAU) ** 2, _COARSE_TAU)
 
 
 class Tree:
@@ -118,24 +118,34 @@ def _build(cube: NDArray, top: int) -> tuple[NDArray, NDArray]:
     n = cube.shape[1]
     area = np.broadcast_to(solid_angles(n)[None, :, :, None], (6, n, n, 1))
     radiance, square, centroid = cube, np.square(cube).sum(axis=-1, keepdims=True), directions(n)
+    # Sums over texels of radiance (all channels) and of radiance times direction; black ones count a little.
+    light = area * (cube.sum(axis=-1, keepdims=True) + 1e-30)
+    moment = light * centroid
     levels = []
     for _ in range(top + 1):
         size = radiance.shape[1]
-        length = np.linalg.norm(centroid, axis=-1, keepdims=True)
-        unit = centroid / length
-        # Mean squared chord from the unit centroid: 2 (1 - length).
-        chord = np.maximum(2.0 * (1.0 - length), 0.0)
+        unit, quarter = _centroid(centroid)
+        bright, bright_quarter = _centroid(moment / light)
         deviation = np.sqrt(np.maximum(square - np.square(radiance).sum(axis=-1, keepdims=True), 0.0))
         rho = _corner_angle(unit, size)
-        fields = [unit, area, np.cos(rho), np.sin(rho), deviation, chord / 4.0, radiance]
+        fields = [unit, area, np.cos(rho), np.sin(rho), deviation, quarter, radiance, bright, bright_quarter]
         levels.append(np.concatenate(fields, axis=-1).reshape(-1, NODE_FIELDS).astype(np.float32))
         if size == 1:
             break
         total = _summed(area)
         radiance, square, centroid = (_summed(each * area) / total for each in (radiance, square, centroid))
-        area = total
+        area, light, moment = total, _summed(light), _summed(moment)
     offsets = np.concatenate([[0], np.cumsum([len(level) for level in levels])]).astype(np.int64)
     return np.ascontiguousarray(np.concatenate(levels)), offsets
+
+
+def _centroid(mean: NDArray) -> tuple[NDArray, NDArray]:
+    """The unit direction of a mean of directions (..., 3), and a quarter of their mean squared chord from it.
+
+    The mean squared chord is 2 (1 - length of the mean).
+    """
+    length = np.linalg.norm(mean, axis=-1, keepdims=True)
+    return mean / length, np.maximum(2.0 * (1.0 - length), 0.0) / 4.0
 
 
 def _summed(values: NDArray) -> NDArray:

@@ -1,16 +1,19 @@
 """A quadtree over each face: nodes are taken whole where a bound on what that costs is small enough.
 
-A node holds the mean radiance L of its texels, their deviation sd, the solid angle A, the unit centroid of directions,
-the angle rho that holds all of its corners, and the mean squared chord R2 from the centroid. Taking it whole replaces
-sum(A_i K_i L_i) by K' A L, with K' the node's mean of K to second order: K(c) + R2/4 Laplacian K, where on the sphere
-Laplacian K = (1 - c^2) K'' - 2 c K'. What is lost is the covariance of K and L within the node, at most
-A (Kmax - Kmin)/2 sd, and the error e of K' itself, taken as half of what the correction adds.
+A node holds the mean radiance L of its texels, their deviation sd, the solid angle A, the angle rho from its centroid
+that holds all of its corners, and two unit centroids of directions, each with the mean squared chord R2 from it: one
+weighted by solid angle, one by solid angle times radiance (the sum of its channels). About the first the node's mean of
+K is, to second order, k = K(c) + R2/4 Laplacian K, where on the sphere Laplacian K = (1 - c^2) K'' - 2 c K'. The same
+about the second is q, the mean of K over its light: sum(A_i K_i L_i) is taken as A q L. The first order of the
+covariance of K and L is in q, wherever in the node the light is; of one bright texel q is K itself. The bound does not
+make use of that: it takes what is lost as the whole covariance, at most A (Kmax - Kmin)/2 sd, and the error e of k as
+half of what the correction adds. The error of q is e times the ratio s of the two R2.
 
-The sum of A K' misses the integral I of K, which is known, by a sum of errors A e whose signs agree (K is convex but
+The sum of A k misses the integral I of K, which is known, by a sum of errors A e whose signs agree (K is convex but
 at its peak): divided out, it would make texels near a lamp too bright, their dark tails being what lacks. The lack is
-given to where it may come from instead: with X the mean of L weighted by A e,
+given to where it may come from instead: with X = sum(A e s L) / sum(A e),
 
-    R = (sum A K' L + (I - sum A K') X) / I,
+    R = (sum A q L + (I - sum A k) X) / I,
 
 which keeps constants, and an error A e of one node moves R by A e (L - X) / I. A node is taken when
 
@@ -18,7 +21,7 @@ which keeps constants, and an error A e of one node moves R by A e (L - X) / I. 
 
 with K's extremes at the cosines cos(theta -+ rho), and opened otherwise; texels are the leaves. R and X come from a
 coarser pass, whose X leans to dark nodes, for one bright node in doubt would be all of the mean. Where the sum over
-all texels is not known, R = sum(A K' L)/sum(A K') and X = R.
+all texels is not known, R = sum(A q L)/sum(A k) and X = R.
 """
 
 from __future__ import annotations
@@ -27,12 +30,26 @@ import math
 
 import numpy as np
 
-from brdffit._jit import kernel
+from brdffit._jit import inline, kernel
 
 #: Fields of a node, float32.
-NODE_FIELDS = 11
+NODE_FIELDS = 15
 #: Nodes that are darker than this times the result count alike where X leans to the dark ones.
 _FAINT = np.float32(0.03)
+
+
+@inline
+def lobe_and_correction(far, square, m, quarter):
+    """K and R2/4 times its Laplacian at 1 - n.l = ``far``; ``quarter`` is R2/4, ``square`` alpha^2 (see probes.lobe).
+
+    With p = alpha^2 + m far and c = n.l: K = c/p^2, K' = 1/p^2 + 2 m c/p^3, K'' = 4 m/p^3 + 6 m^2 c/p^4.
+    """
+    one, two = np.float32(1.0), np.float32(2.0)
+    c, per = one - far, one / (square + m * far)
+    above, per2 = max(c, np.float32(0.0)), per * per
+    slope = per2 + two * m * above * per2 * per
+    bend = np.float32(4.0) * m * per2 * per + np.float32(6.0) * m * m * above * per2 * per2
+    return above * per2, quarter * (far * (two - far) * bend - two * c * slope)
 
 
 @kernel
@@ -44,8 +61,8 @@ def filter_by_tree(
     ``integrals`` (q,) is I, the sum of A K over all texels, if that is ``known``; ``final`` says whether this is the
     last pass; ``counts`` gets nodes taken.
 
-    ``nodes`` (all nodes, NODE_FIELDS): centroid 3, A, cos rho, sin rho, sd, R2/4, radiance 3; level k of the tree
-    begins at offsets[k], texels first; roots are the nodes of level ``top``.
+    ``nodes`` (all nodes, NODE_FIELDS): centroid 3, A, cos rho, sin rho, sd, R2/4, radiance 3, centroid of radiance 3,
+    its R2/4; level k of the tree begins at offsets[k], texels first; roots are the nodes of level ``top``.
     """
     one, zero, half, two = np.float32(1.0), np.float32(0.0), np.float32(0.5), np.float32(2.0)
     square = np.float32(alpha * alpha)
@@ -76,8 +93,8 @@ def filter_by_tree(
                 far = half * (dx * dx + dy * dy + dz * dz)
                 area = nodes[t, 3]
                 c = one - far
-                p = square + m * far
                 if k == 0:
+                    p = square + m * far
                     if c > zero:
                         weight = area * c / (p * p)
                         total += weight
@@ -97,12 +114,7 @@ def filter_by_tree(
                 near_p, far_p = square + m * (one - nearest), square + m * (one - farthest)
                 largest = nearest / (near_p * near_p)
                 spread = largest - farthest / (far_p * far_p)
-                above, per = max(c, zero), one / p
-                per2 = per * per
-                value = above * per2
-                slope = per2 + two * m * above * per2 * per
-                bend = np.float32(4.0) * m * per2 * per + np.float32(6.0) * m * m * above * per2 * per2
-                correction = nodes[t, 7] * (sine * sine * bend - two * c * slope)
+                value, correction = lobe_and_correction(far, square, m, nodes[t, 7])
                 wrong = half * min(abs(correction), spread)
                 if farthest <= zero:
                     # The horizon cuts the node: its mean is anything between.
@@ -111,8 +123,14 @@ def filter_by_tree(
                 lr, lg, lb = nodes[t, 8] - er, nodes[t, 9] - eg, nodes[t, 10] - eb
                 apart = math.sqrt(lr * lr + lg * lg + lb * lb)
                 if area * (half * spread * nodes[t, 6] + wrong * apart) < limit:
+                    total += area * min(max(value + correction, zero), largest)
+                    dx, dy, dz = nodes[t, 11] - nx, nodes[t, 12] - ny, nodes[t, 13] - nz
+                    value, correction = lobe_and_correction(
+                        half * (dx * dx + dy * dy + dz * dz), square, m, nodes[t, 14]
+                    )
+                    if farthest <= zero:
+                        correction = zero
                     weight = area * min(max(value + correction, zero), largest)
-                    total += weight
                     red += weight * nodes[t, 8]
                     green += weight * nodes[t, 9]
                     blue += weight * nodes[t, 10]
@@ -120,10 +138,13 @@ def filter_by_tree(
                     doubt = area * wrong
                     dark = doubt / ((bright + faint) * (bright + faint))
                     darks += dark
+                    doubts += doubt
+                    share = nodes[t, 14] / max(nodes[t, 7], np.float32(1e-30))
+                    dark *= share
+                    doubt *= share
                     dark_red += dark * nodes[t, 8]
                     dark_green += dark * nodes[t, 9]
                     dark_blue += dark * nodes[t, 10]
-                    doubts += doubt
                     doubt_red += doubt * nodes[t, 8]
                     doubt_green += doubt * nodes[t, 9]
                     doubt_blue += doubt * nodes[t, 10]
