@@ -59,6 +59,9 @@ def seen(tmp_path_factory):
     assert result.returncode == 0, result.stderr
     found = json.loads(result.stdout)
     assert "error" not in found and not found["console"], found
+    result = node("browser.mjs", samples, "playcanvas.html", "file=set.glb")
+    assert result.returncode == 0, result.stderr
+    found["playcanvas"] = json.loads(result.stdout)
     return found, [level.svbrdf for level in pyramid.levels], factors
 
 
@@ -95,3 +98,14 @@ def test_three_shows_our_levels_of_ktx2_files(seen):
     assert_levels(found["set_normal.ktx2"], normals_of(levels, 1.0)[:, :2])
     packed = np.array(found["set_occlusionRoughnessMetallic.ktx2"]["levels"], float)
     assert (np.abs(packed[:, [0, 2]] - 255.0) <= CODES).all()
+
+
+def test_playcanvas_shows_our_levels_of_a_glb(seen):
+    found, levels, factors = seen
+    shown = found["playcanvas"]
+    assert "error" not in shown and not shown["console"], shown
+    assert shown["anisotropy"] == pytest.approx(factors.strength)
+    for name, expected in (
+        ("diffuseMap", [level.specular[0, 0] for level in levels]), ("normalMap", normals_of(levels, factors.normal)),
+    ):  # fmt: skip
+        assert_levels({"error": 0, **shown[name]}, expected)

@@ -9,12 +9,14 @@ import zlib
 
 import numpy as np
 import pytest
+from container_support import node
 from export_support import averaged_pyramid, random_svbrdf
 
 from brdffit.cli import main
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.export.manifest import build_manifest
 from brdffit.export.writing import write_baked
+from brdffit.files.image_io import write_png
 from brdffit.methods import Baked
 from brdffit.models.microfacet import brdf
 from brdffit.viewer import command
@@ -179,3 +181,43 @@ def test_the_command_writes_a_page_that_a_browser_draws(tmp_path):
     # Both panels average the same maps; the browser and we do it alike.
     assert abs(found["rms"][0] - found["rms"][1]) < 2
     assert 0.3 < min(found["energy"]) <= max(found["energy"]) < 3
+
+
+def test_the_page_answers_to_mouse_keys_and_fingers(tmp_path):
+    if shutil.which("chromium") is None:
+        pytest.skip("Chromium is not installed")
+    page = view(bake_folder(tmp_path / "set", slope=0.3, lowest=0.4), tmp_path / "view.html")
+    result = node("viewer.mjs", page)
+    assert result.returncode == 0, result.stderr
+    seen = json.loads(result.stdout)
+    assert seen["console"] == []
+
+    def change(after, before, name):
+        return seen[after][name] - seen[before][name]
+
+    assert change("drag", "start", "yaw") == pytest.approx(-0.32, abs=0.02)
+    assert change("drag", "start", "pitch") > 0
+    assert change("wheel", "drag", "distance") == pytest.approx(0.1, abs=0.002)
+    assert change("left", "wheel", "yaw") == pytest.approx(0.05, abs=1e-6)
+    assert change("nearer", "left", "distance") == pytest.approx(-0.02, abs=0.002)
+    assert change("level", "nearer", "level") == 1
+    assert (seen["difference"]["show"], seen["wipe"]["show"], seen["moving"]["move"]) == (1, 2, True)
+    assert change("finger", "before", "yaw") == pytest.approx(-0.24, abs=0.05)
+    # Fingers that part come nearer, and none is left behind.
+    assert change("pinch", "finger", "distance") < -0.05
+    assert seen["pinch"]["pointers"] == 0
+    assert "RMS off, energy" in seen["figures"]
+
+
+def test_an_environment_file_lights_the_page(tmp_path):
+    """Light of one colour from all around: a white furnace, in every panel as bright as the reference."""
+    sky = tmp_path / "sky.png"
+    write_png(sky, np.full((16, 32, 3), 128, np.uint8))
+    folder = bake_folder(tmp_path / "set", size=(16, 16), slope=0.2, lowest=0.4)
+    page = view(folder, tmp_path / "view.html", environment=str(sky))
+    found = in_browser(page, "?test=1&frames=4&width=200&light=1")
+    assert found["error"] == 0
+    assert all(abs(energy - 1.0) < 0.1 for energy in found["energy"])
+    write_png(sky, np.full((16, 32, 1), 128, np.uint8))
+    with pytest.raises(InputError, match="expected an RGB picture of light"):
+        view(folder, tmp_path / "view.html", environment=str(sky))
