@@ -8,12 +8,13 @@ import math
 import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.export import writing as export
@@ -184,11 +185,12 @@ def bake_to_folder(
         name = name or (texture_set.name if texture_set else "svbrdf")
         folder = Path(output) / name
         export.check_writable(folder, preset=preset, bits=bits)
+        loading = _in_background(lambda: warm_up(asked, preview)) if isinstance(asked, LobeOptions) else None
         read = dataclasses.replace(read_set(texture_set or source, {}, asked, without), name=name)
         export.check_writable(folder, read.material.size, preset, bits)
-    if isinstance(asked, LobeOptions):
-        with phases("compiling"):
-            _compile_measuring(read.material, asked)
+    with phases("compiling"):
+        if loading is not None:
+            loading.result()
     baked = run(read, chosen, asked, phases)
     draw = (lambda: draw_preview(read, baked)) if preview else None
 
@@ -369,11 +371,25 @@ def finish(
         return written, measuring.result()
 
 
-def _compile_measuring(material: Material, options: LobeOptions) -> None:
-    """Compile, or load, what measures lobes, so that it is told apart from measuring them."""
-    arrays = {name: array[:2, :2] for name, array in material.svbrdf.arrays().items()}
-    few = Material(material.svbrdf.replace(**arrays))
-    assess(few, Baked.of_lobes(averaged_levels(few, dataclasses.replace(options, levels=None))))
+def warm_up(options: LobeOptions, preview: bool = True) -> None:
+    """Compile, or load, what measures lobes and draws their preview, on a material of few texels.
+
+    It needs no file of the set, so that it runs while the set is read.
+    """
+    flat = np.zeros((2, 2, 3), np.float32)
+    few = Material(Svbrdf(flat + np.array([0, 0, 1], np.float32), flat - 3.0, flat + 0.5, flat + 0.5))
+    averaged = averaged_levels(few, dataclasses.replace(options, levels=None))
+    assess(few, Baked.of_lobes(averaged))
+    if preview:
+        make_preview(few.svbrdf, averaged, averaged, ball=2, threads=1)
+
+
+def _in_background(work: Callable[[], None]) -> Future[None]:
+    """Start some work beside; an error that comes first is told without waiting for it."""
+    pool = ThreadPoolExecutor(1)
+    started = pool.submit(work)
+    pool.shutdown(wait=False)
+    return started
 
 
 def _without_normals(options: BakeOptions, without: Collection[str]) -> BakeOptions:

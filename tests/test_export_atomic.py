@@ -125,8 +125,8 @@ sys.path[:0] = [sys.argv[1], sys.argv[2]]
 from brdffit.export import pictures as export
 from test_export_atomic import write
 original = export.write_png
-def slowly(path, pixels):
-    original(path, pixels)
+def slowly(path, pixels, **options):
+    original(path, pixels, **options)
     os.write(1, b"written\\n")  # whole, though two threads write pictures
     time.sleep(2)  # a level; whoever is interrupted ends the pictures at hand
 export.write_png = slowly

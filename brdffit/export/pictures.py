@@ -359,7 +359,7 @@ def _write_plain(path: Path, picture: Picture, levels: Sequence[NDArray]) -> Non
     """A PNG a level, or one EXR with all of them."""
     if path.suffix == ".png":
         for level, codes in enumerate(levels):
-            write_png(path.with_name(f"{path.stem}.{level}.png"), codes)
+            write_png(path.with_name(f"{path.stem}.{level}.png"), codes, quick=True)
     else:
         names = {1: ("Y",), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}[len(picture.channels)]
         write_mip_exr(path, levels, names)

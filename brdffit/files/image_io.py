@@ -38,6 +38,8 @@ UNREAD_SUFFIXES = (
 #: Side of the tiles of written EXR files, in texels.
 TILE_SIZE = 64
 
+#: libpng's flag for Paeth's predictor.
+_PNG_FILTER_PAETH = 0x80
 _BITS = {"uint8": 8, "int8": 8, "uint16": 16, "int16": 16, "uint32": 32, "int32": 32, "half": 16, "float": 32}
 
 
@@ -159,8 +161,10 @@ def as_said(info: ImageInfo, pixels: NDArray[np.float32]) -> NDArray[np.float32]
     return pixels
 
 
-def write_png(path: str | Path, pixels: NDArray) -> None:
+def write_png(path: str | Path, pixels: NDArray, quick: bool = False) -> None:
     """Write (H, W) or (H, W, C) uint8 or uint16 pixels, C from 1 to 4, as a PNG; alpha is stored unassociated.
+
+    ``quick`` writes large maps in less than half the time, into files some 5% larger.
 
     Raises:
         OutputError: when the file cannot be written in full.
@@ -174,7 +178,10 @@ def write_png(path: str | Path, pixels: NDArray) -> None:
     spec = oiio.ImageSpec(width, height, channels, str(pixels.dtype))
     spec.attribute("oiio:UnassociatedAlpha", 1)
     # A quarter faster than the default of 6, and files 1% larger.
-    spec.attribute("png:compressionLevel", 4)
+    spec.attribute("png:compressionLevel", 2 if quick else 4)
+    if quick:
+        # Paeth's predictor for all rows: most of the time goes into trying every filter on each.
+        spec.attribute("png:filter", _PNG_FILTER_PAETH)
     writer = _create(path, "png")
     _check(writer.open(str(path), spec), writer, path)
     _check(writer.write_image(np.ascontiguousarray(pixels)), writer, path)
@@ -254,7 +261,8 @@ def read_mip_exr(path: str | Path, channel_names: Sequence[str] | None = None) -
             if pixels is None or problem:
                 raise InputError(f"'{path}' is damaged at MIP level {len(levels)} ({one_line(problem)}).")
             shaped = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
-            levels.append(np.ascontiguousarray(shaped[:, :, order]))
+            in_order = order == list(range(spec.nchannels))
+            levels.append(np.ascontiguousarray(shaped if in_order else shaped[:, :, order]))
     finally:
         reader.close()
     return levels

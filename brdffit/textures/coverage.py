@@ -11,7 +11,6 @@ from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.texture_set import TextureSet
@@ -89,6 +88,8 @@ def _filled(svbrdf: Svbrdf, empty: NDArray) -> Svbrdf:
     # Across the border too, where the texture goes on: half a period each way is as far as nearest can be.
     room = tuple(min(side // 2 + 1, 512) if svbrdf.wrap == "tile" else 0 for side in empty.shape)
     wide = np.pad(empty, [(each, each) for each in room], mode="wrap")
+    from scipy import ndimage  # half a second to import, of use to few sets
+
     rows, columns = ndimage.distance_transform_edt(wide, return_distances=False, return_indices=True)
     inner = tuple(slice(each, each + side) for each, side in zip(room, empty.shape, strict=True))
     row, column = (rows[inner][empty] - room[0]) % height, (columns[inner][empty] - room[1]) % width
