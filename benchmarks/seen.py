@@ -27,11 +27,12 @@ from PIL import Image, ImageDraw
 from benchmarks.materials import crop, every_set
 from benchmarks.record import ROOT, as_markdown, machine
 from benchmarks.seen_summary import figures_table, summary
+from brdffit.assessment import assess
 from brdffit.comparison.surroundings import read_environment
 from brdffit.comparison.views import Still, Studio, still_views
 from brdffit.methods import Material, Method, get_method
 from brdffit.options import BakeOptions, make_options, parse_settings
-from brdffit.pipeline import Phases, ReadSet, assess, run
+from brdffit.pipeline import Phases, ReadSet, run
 from brdffit.render import lights, metrics
 from brdffit.render.reference import Reference
 from brdffit.svbrdf import Svbrdf, level_sizes

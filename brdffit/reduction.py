@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.assessment import assess, averaged_levels
 from brdffit.errors import InputError
 from brdffit.export import writing as export
 from brdffit.fitting.status import FALLBACK, POOR
@@ -31,8 +32,6 @@ from brdffit.pipeline import (
     Phases,
     ProgressListener,
     ReadSet,
-    assess,
-    averaged_levels,
     bake_options,
     finish,
     run,

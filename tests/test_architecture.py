@@ -81,6 +81,8 @@ FORBIDDEN = {
         "brdffit.comparison", "brdffit.planning", "brdffit.library", "brdffit.neural", "brdffit.learned", "matplotlib",
         "jinja2",
     },
+    # What is said of a result; the road asks it, not the other way round.
+    "brdffit.assessment": {"brdffit.pipeline", "brdffit.textures", "brdffit.export", "brdffit.cli"},
     # Data for the console, which prints it.
     "brdffit.doctor": {"brdffit.render", "brdffit.console", "brdffit.cli", "brdffit.report", "rich", "click"},
     "brdffit.comparison": {

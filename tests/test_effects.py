@@ -8,6 +8,7 @@ import pytest
 from test_fitting import bake, check, surface
 
 from brdffit import pipeline
+from brdffit.assessment import assess
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.export.manifest import build_manifest
 from brdffit.files.image_io import write_png
@@ -119,7 +120,7 @@ def test_the_manifest_holds_every_option_and_counts_what_is_not_reached():
     pyramid = bake(coloured(), reach=(0, 1), coupling=False)
     assert pyramid.notes == ["Pixels read levels 0 to 1 alone; the others are averaged, not fitted."]
     baked = Baked.of_lobes(pyramid)
-    measured = pipeline.assess(Material(coloured()), baked)
+    measured = assess(Material(coloured()), baked)
     assert [bool(figures) for figures in measured] == [True, True, False, False, False]
     manifest = build_manifest(baked, name="set", status_names=STATUS_NAMES, measured=measured)
     assert manifest["options"].keys() == {each.name for each in dataclasses.fields(FitOptions)} - {"threads"}

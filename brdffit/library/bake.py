@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from brdffit import pipeline
+from brdffit.assessment import assess
 from brdffit.errors import BrdffitError, InputError
 from brdffit.files.image_io import file_sha256
 from brdffit.library import store
@@ -127,7 +128,7 @@ def warm_up(methods_and_models: set[tuple[str, str | None]]) -> None:
         method = get_method(name)
         wanted = {"quality": "draft", "threads": 1} | ({"model": model} if model else {})
         baked = pipeline.run(read, method, with_options(method.options(), wanted), pipeline.Phases())
-        pipeline.assess(read.material, baked)
+        assess(read.material, baked)
         make_thumbnail(svbrdf, baked)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.assessment import averaged_levels
 from brdffit.methods import Baked, Material
 from brdffit.options import LobeOptions
-from brdffit.pipeline import averaged_levels
 from brdffit.render import metrics
 from brdffit.render.ball import Part, lit_balls, over_background
 from brdffit.svbrdf import Svbrdf
