@@ -507,7 +507,8 @@ def write_set(folder, svbrdf):
 
 @pytest.mark.parametrize("kind", ["learned", "latent", "mipnet"])
 def test_training_by_command_repeats_and_resumes(kind, tmp_path, monkeypatch):
-    from brdffit.learned import latent_training, residual_training, training
+    from brdffit.learned import latent_training, residual_training
+    from brdffit.nets import training
     from brdffit.nets.weights import read_weights
 
     monkeypatch.setattr(latent_training, "CROPS", 8)
@@ -531,7 +532,8 @@ def test_training_by_command_repeats_and_resumes(kind, tmp_path, monkeypatch):
 
 def test_a_stopped_training_goes_on_where_it_was(tmp_path, monkeypatch):
     """Six steps at a stretch, and three, a crash and three more, are the same."""
-    from brdffit.learned import residual_training, training
+    from brdffit.learned import residual_training
+    from brdffit.nets import training
     from brdffit.nets.weights import read_weights
 
     monkeypatch.setattr(training, "_FIGURE_SECONDS", 0.0)

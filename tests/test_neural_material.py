@@ -10,8 +10,8 @@ from neural_support import CheckeredDepth
 from brdffit.appearance import Appearance, Lookups
 from brdffit.cli import main
 from brdffit.errors import InputError
-from brdffit.learned.training import checkpoint_path, train
 from brdffit.methods import get_method, method_names
+from brdffit.nets.training import checkpoint_path, train
 from brdffit.nets.weights import read_weights, write_weights
 from brdffit.neural.material import read_material
 from brdffit.neural.questions import RADIUS, Answers, batch_of, directions, error_of, random_queries
@@ -134,7 +134,7 @@ def test_same_seed_same_material_on_any_number_of_threads_and_when_resumed(tmp_p
     one = learned("one.npz", 1)
     assert learned("two.npz", 2) == one
     # A checkpoint after each step, and an interrupt before that of the last.
-    monkeypatch.setattr("brdffit.learned.training._FIGURE_SECONDS", -1.0)
+    monkeypatch.setattr("brdffit.nets.training._FIGURE_SECONDS", -1.0)
     with pytest.raises(KeyboardInterrupt):
         learned("three.npz", 2, told=stopped)
     assert read_weights(checkpoint_path(tmp_path / "three.npz"), "checkpoint of neural material")[1]["steps"] == 16

@@ -53,6 +53,27 @@ def bounded(tensor: NDArray, options: LobeOptions) -> NDArray:
     return np.stack([mean + shrink * half, mean - shrink * half, shrink * off], axis=1)
 
 
+def level_of(
+    normal: NDArray, tensor: NDArray, specular: NDArray, diffuse: NDArray, filtered: Mapping[str, NDArray],
+    svbrdf: Svbrdf, options: LobeOptions,
+) -> Svbrdf:  # fmt: skip
+    """A level (h, w) of the lobes that networks say and of averaged colours.
+
+    Args:
+        normal, tensor, specular, diffuse: (h, w, 3); the log tensor is brought into bounds here.
+        filtered: averaged channels; of these "occlusion" (h, w, 1), if it is there, is taken.
+        svbrdf: the base.
+        options: of the bake.
+    """
+    occlusion = filtered.get("occlusion")
+    return Svbrdf(
+        normal=normal.astype(np.float32),
+        log_roughness=bounded(tensor.reshape(-1, 3), options).reshape(tensor.shape).astype(np.float32),
+        specular=specular.astype(np.float32), diffuse=diffuse, model=options.model, wrap=svbrdf.wrap,
+        occlusion=None if occlusion is None else np.clip(occlusion[..., 0], 0.0, 1.0),
+    )  # fmt: skip
+
+
 def weights_path(name: str, shipped: Path) -> Path:
     """The file behind the option ``weights``."""
     return shipped if name == SHIPPED else Path(name)

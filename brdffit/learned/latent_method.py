@@ -16,7 +16,7 @@ from brdffit.fitting.status import KEPT
 from brdffit.footprint import get_pixel_filter, iter_pyramid
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.learned import asked
-from brdffit.learned.asked import MOST_FACTOR, bounded, check_asked, tiny_base, told_of, weights_path
+from brdffit.learned.asked import MOST_FACTOR, check_asked, level_of, tiny_base, told_of, weights_path
 from brdffit.learned.kernels.gathering import diffuse_rows
 from brdffit.learned.latent import (
     FACTOR,
@@ -119,10 +119,4 @@ def _decoded(
     if "diffuse 0" in filtered:
         moments = np.concatenate([filtered[f"diffuse {k}"] for k in range(3)], axis=2).reshape(-1, 9)
         diffuse_rows(moments.astype(np.float64), normal.reshape(-1, 3), exponent, diffuse.reshape(-1, 3))
-    occlusion = filtered.get("occlusion")
-    return Svbrdf(
-        normal=normal.astype(np.float32),
-        log_roughness=bounded(said[..., TENSOR].reshape(-1, 3), options).reshape(*size, 3).astype(np.float32),
-        specular=specular.astype(np.float32), diffuse=diffuse, model=options.model, wrap=svbrdf.wrap,
-        occlusion=None if occlusion is None else np.clip(occlusion[..., 0], 0.0, 1.0),
-    )  # fmt: skip
+    return level_of(normal, said[..., TENSOR], specular, diffuse, filtered, svbrdf, options)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from brdffit.colour import LUMINANCE
 from brdffit.learned.crops import LEVELS, SIDE, TEXELS, Crop, Source, make_crop
-from brdffit.learned.data import set_digest
 from brdffit.learned.judging import figure_of, judged_patches
 from brdffit.learned.latent import (
     CODE,
@@ -26,6 +25,7 @@ from brdffit.learned.latent import (
     inputs_of,
 )
 from brdffit.learned.latent_losses import FLOOR, LIGHTS, LOSSES, exact_loss, rendering_loss
+from brdffit.learned.tasks import SetsTask
 from brdffit.methods import one_of
 from brdffit.nets.adam import Adam
 from brdffit.nets.layers import Network
@@ -43,12 +43,11 @@ _TOLD = {
 }
 
 
-class LatentTask:
+class LatentTask(SetsTask):
     """Networks and their crops. A training that is resumed begins with the first crops again.
 
     Args:
-        sources: sets to train on.
-        held_out: sets for the figure; with none, the training sets.
+        sources, held_out: see ``SetsTask``.
         seed: of initial weights and crops.
         crops: at hand at once.
         loss: "exact", or "paper".
@@ -61,14 +60,14 @@ class LatentTask:
         self, sources: Sequence[str | Path], held_out: Sequence[str | Path], seed: int, crops: int = CROPS,
         loss: str = LOSSES[0], form: str = FORMS[0],
     ) -> None:  # fmt: skip
+        super().__init__(sources, held_out)
         rng = np.random.default_rng(seed)
-        self.sources, self.held_out = [Path(each) for each in sources], [Path(each) for each in held_out]
         self.loss = one_of("loss", loss, LOSSES)
         self.networks_ = LatentNetworks(rng, one_of("form", form, FORMS))
         self.sets = [Source(each) for each in self.sources]
         self.crops = [self._make_crop(rng) for _ in range(crops)]
         self.networks_.whiten_by(np.concatenate([crop.inputs.reshape(-1, INPUTS) for crop in self.crops[:256]]))
-        self.judged = judged_patches(self.held_out or self.sources, rng)
+        self.judged = judged_patches(self.judging, rng)
 
     def networks(self) -> dict[str, Network]:
         """Encoders and decoders."""
@@ -108,10 +107,8 @@ class LatentTask:
                 "form": self.networks_.form, "models": list(MODELS),
             },
             "loss": _TOLD[self.loss],
-            "training_sets": {each.name: set_digest(each) for each in self.sources},
-            "held_out_sets": [each.name for each in self.held_out],
+            **self.provenance(),
             "steps_of_the_paper": PAPER_STEPS,
-            "licence": "trained on CC0-1.0 texture sets",
         }  # fmt: skip
 
 

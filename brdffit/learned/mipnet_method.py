@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from brdffit.fitting.status import KEPT
 from brdffit.footprint import get_pixel_filter, iter_pyramid
 from brdffit.learned import asked
-from brdffit.learned.asked import bounded, check_asked, told_of, weights_path
+from brdffit.learned.asked import check_asked, level_of, told_of, weights_path
 from brdffit.learned.latent import lifted
 from brdffit.learned.mipnet import SHIPPED, TEXEL, MipNetwork, load_mipnet, taken
 from brdffit.learned.mipnet_training import texels_of
@@ -77,7 +77,9 @@ class Mipnet(LobeMethod):
                 else:
                     image = _said(network, taken(image, (height, width)), pool).reshape(height, width, TEXEL)
                     filtered = dict(zip(colours, pool.map(next, pyramids), strict=True))
-                    level = Level(_level(image, filtered, svbrdf, options))
+                    specular, diffuse = (np.maximum(filtered[name], 0.0) for name in ("specular", "diffuse"))
+                    normal, tensor = lifted(image[..., :2]), image[..., 2:]
+                    level = Level(level_of(normal, tensor, specular, diffuse, filtered, svbrdf, options))
                 level.seconds = time.perf_counter() - started
                 started = time.perf_counter()
                 pyramid.levels.append(level)
@@ -96,14 +98,3 @@ def _said(network: MipNetwork, four: NDArray, pool: ThreadPoolExecutor) -> NDArr
     for _ in pool.map(work, range(0, len(four), _ROWS)):
         pass
     return out
-
-
-def _level(image: NDArray, filtered: dict[str, NDArray], svbrdf: Svbrdf, options: MipnetOptions) -> Svbrdf:
-    """A level of texels (h, w, TEXEL) and averaged colours."""
-    tensor = bounded(image[..., 2:].reshape(-1, 3), options).reshape(*image.shape[:2], 3)
-    occlusion = filtered.get("occlusion")
-    return Svbrdf(
-        normal=lifted(image[..., :2]).astype(np.float32), log_roughness=tensor.astype(np.float32),
-        specular=np.maximum(filtered["specular"], 0.0), diffuse=np.maximum(filtered["diffuse"], 0.0), model="ggx",
-        wrap=svbrdf.wrap, occlusion=None if occlusion is None else np.clip(occlusion[..., 0], 0.0, 1.0),
-    )  # fmt: skip

@@ -15,54 +15,37 @@ from brdffit._jit import numba_type, types
 from brdffit.fitting.batch import model_kernels
 from brdffit.halfangle.objective import lobe_values_type, log_normalisation_type, moments_type
 from brdffit.learned.crops import SIDE, Source
-from brdffit.learned.data import set_digest
 from brdffit.learned.judging import figure_of, judged_patches
 from brdffit.learned.kernels.rendering import seen_rows, tonemapped_rows
 from brdffit.learned.latent import OUTPUTS, lifted
 from brdffit.learned.latent_losses import half_vectors
 from brdffit.learned.mipnet import HIDDEN, INPUTS, KIND, TEXEL, MipNetwork, fours, fours_back
-from brdffit.learned.training import warm_then_falling
-from brdffit.nets.adam import Adam
-from brdffit.nets.layers import Network
+from brdffit.learned.tasks import ChainTask
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 from brdffit.svbrdf import Svbrdf
 
 #: Levels that are made of a patch, 16 x 16 to 1 x 1, and half vectors that all are seen from.
 LEVELS, HALVES = 5, 32
-_RATE, _LAST_RATE = 1e-3, 1e-5
 #: Longest gradient of a texel, normals in units of its lobe's width, relative to a texel's share of the loss.
 _STEEPEST = 10.0
 
 
-class MipnetTask:
+class MipnetTask(ChainTask):
     """A network and the sets whose patches it sees.
 
     Args:
-        sources: sets to train on.
-        held_out: sets for the figure; with none, the training sets.
+        sources, held_out: see ``SetsTask``.
         seed: of initial weights and patches.
     """
 
-    kind = KIND
+    kind, rates = KIND, (1e-3, 1e-5)
 
     def __init__(self, sources: Sequence[str | Path], held_out: Sequence[str | Path], seed: int) -> None:
+        super().__init__(sources, held_out)
         rng = np.random.default_rng(seed)
-        self.sources, self.held_out = [Path(each) for each in sources], [Path(each) for each in held_out]
         self.network = MipNetwork(rng)
         self.sets = [Source(each) for each in self.sources]
-        self.judged = judged_patches(self.held_out or self.sources, rng)
-
-    def networks(self) -> dict[str, Network]:
-        """The chain."""
-        return {"chain": self.network.chain}
-
-    def optimiser(self, size: int) -> Adam:
-        """Adam."""
-        return Adam(size)
-
-    def rate(self, step: int, done: float) -> float:
-        """Warm up, hold for the first half, then fall geometrically."""
-        return warm_then_falling(step, done, _RATE, _LAST_RATE)
+        self.judged = judged_patches(self.judging, rng)
 
     def accumulate(self, rng: np.random.Generator) -> float:
         """One patch."""
@@ -73,18 +56,12 @@ class MipnetTask:
         """Mean over sets and levels of the SNR."""
         return figure_of(self.judged, lambda svbrdf: say_levels(self.network, svbrdf))
 
-    def arrays(self) -> dict[str, NDArray]:
-        """Of the network."""
-        return self.network.arrays()
-
     def meta(self) -> dict[str, Any]:
         """Provenance."""
         return {
             "architecture": {"inputs": INPUTS, "hidden": list(HIDDEN), "outputs": TEXEL},
             "loss": f"L1 of log(1 + radiance), {HALVES} half vectors, {LEVELS} levels",
-            "training_sets": {each.name: set_digest(each) for each in self.sources},
-            "held_out_sets": [each.name for each in self.held_out],
-            "licence": "trained on CC0-1.0 texture sets",
+            **self.provenance(),
         }
 
 

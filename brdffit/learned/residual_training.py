@@ -10,23 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.learned import residual
-from brdffit.learned.data import VARIANTS, footprints, read_set, set_digest, training_table
+from brdffit.learned.data import VARIANTS, footprints, read_set, training_table
 from brdffit.learned.kernels import moments
 from brdffit.learned.kernels.moments import features_of
 from brdffit.learned.kernels.saying import MOST
 from brdffit.learned.kernels.tables import Table, errors_of
 from brdffit.learned.network import KIND, OUTPUTS, ResidualNetwork, difference
 from brdffit.learned.residual import CORRECTIONS, compose, pull_back
-from brdffit.learned.training import warm_then_falling
-from brdffit.nets.adam import Adam
-from brdffit.nets.layers import Network
+from brdffit.learned.tasks import ChainTask
 
 #: Texels of a batch.
 BATCH = 4096
 #: Texels of the training table.
 TEXELS = 160_000
 HIDDEN = (32, 32)
-_RATE, _LAST_RATE = 3e-3, 3e-5
 # The loss of a texel is log(e + this): its error counts relative to itself down to there.
 _FLOOR = 0.02
 #: Longest gradient of a texel: a few texels whose walls are steep shall not decide a step.
@@ -34,23 +31,22 @@ _STEEPEST = 3.0
 _HELD_OUT_LEVELS, _HELD_OUT_TEXELS = (1, 2, 3, 4, 5), 200
 
 
-class ResidualTask:
+class ResidualTask(ChainTask):
     """A network, its training table, and the footprints that it never sees.
 
     Args:
-        sources: sets to train on.
-        held_out: sets for the figure; with none, it is that of the training sets.
+        sources, held_out: see ``SetsTask``.
         seed: of initial weights and of the table.
         texels: of the table.
     """
 
-    kind = KIND
+    kind, rates = KIND, (3e-3, 3e-5)
 
     def __init__(
         self, sources: Sequence[str | Path], held_out: Sequence[str | Path], seed: int, texels: int = TEXELS
     ) -> None:
+        super().__init__(sources, held_out)
         rng = np.random.default_rng(seed)
-        self.sources, self.held_out = [Path(each) for each in sources], [Path(each) for each in held_out]
         self.network = ResidualNetwork(HIDDEN, rng)
         self.table = training_table(self.sources, texels, rng)
         features, self.closed = features_of(self.table.moments)
@@ -58,21 +54,9 @@ class ResidualTask:
         self.inputs, self.difference = self.network.normalised(features), difference(features)[:, None]
         self.judged = [
             footprints(read_set(each), level, _HELD_OUT_TEXELS, rng)
-            for each in (self.held_out or self.sources)
+            for each in self.judging
             for level in _HELD_OUT_LEVELS
         ]
-
-    def networks(self) -> dict[str, Network]:
-        """The chain."""
-        return {"chain": self.network.chain}
-
-    def optimiser(self, size: int) -> Adam:
-        """Adam with a short memory: batches are large."""
-        return Adam(size)
-
-    def rate(self, step: int, done: float) -> float:
-        """Warm up, hold for the first half, then fall geometrically."""
-        return warm_then_falling(step, done, _RATE, _LAST_RATE)
 
     def accumulate(self, rng: np.random.Generator) -> float:
         """One batch of random texels, axes turned about at random."""
@@ -97,21 +81,15 @@ class ResidualTask:
         """Mean over sets and levels of the SNR."""
         return float(np.mean([-10.0 * np.log10(np.mean(error_of(self.network, table))) for table in self.judged]))
 
-    def arrays(self) -> dict[str, NDArray]:
-        """Of the network."""
-        return self.network.arrays()
-
     def meta(self) -> dict[str, Any]:
         """Provenance."""
         return {
             "architecture": self.network.architecture(),
             "loss": f"mean of log(e + {_FLOOR}), e the half-angle error of the lobe at its best scale",
-            "training_sets": {each.name: set_digest(each) for each in self.sources},
-            "held_out_sets": [each.name for each in self.held_out],
+            **self.provenance(),
             "variants": [list(each) for each in VARIANTS],
             "texels": len(self.table),
             "batch": BATCH,
-            "licence": "trained on CC0-1.0 texture sets",
         }
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from brdffit.cli_options import reading_options
+from brdffit.nets.command import check_training, train_with_bar, training_options
 
 _FILE = click.argument("file", metavar="MATERIAL.npz", type=click.Path(path_type=Path))
 
@@ -19,15 +20,11 @@ def neural() -> None:
 
 @neural.command()
 @click.argument("source", metavar="SET", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("material.npz"))
+@training_options("material.npz", "10", "Of weights, queries and batches.")
 @click.option("--size", type=int, default=128, help="Texels of the longer side of level 0, a power of two.")
-@click.option("--minutes", type=click.FloatRange(0, min_open=True), show_default="10", help="Of training.")
-@click.option("--steps", type=click.IntRange(min=1), help="Instead of minutes: same seed, same material.")
 @click.option("--paper", is_flag=True, help="Exactly as the paper, instead of what was found to be better.")
 @click.option("--no-offset", is_flag=True, help="Without the learned parallax offset.")
 @click.option("--bounces", type=click.IntRange(0, 16), default=0, help="How often light goes from surface to surface.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of weights, queries and batches.")
-@click.option("--resume", is_flag=True, help="Go on from the checkpoint beside the output.")
 @click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
 @reading_options
 def train(
@@ -38,19 +35,10 @@ def train(
 
     Writes the material, its curve as SVG and, while it is at work, a checkpoint each minute.
     """
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from brdffit.errors import InputError
-    from brdffit.learned.training import train as run
     from brdffit.neural.source import open_source
     from brdffit.neural.training import NeuralTask
 
-    if minutes is not None and steps is not None:
-        raise click.UsageError("Give --minutes or --steps, not both.")
-    if output.suffix != ".npz":
-        raise InputError(f"The material '{output}' must bear a name that ends in .npz.")
-    if steps is None and minutes is None:
-        minutes = 10.0
+    check_training(output, minutes, steps)
     opened = open_source(source, size, reading, bounces, threads)
     for note in opened.notes:
         click.echo(f"Note: {note}", err=True)
@@ -58,17 +46,8 @@ def train(
     task = NeuralTask(
         opened.source, opened.size, seed, paper=paper, with_offset=not no_offset, threads=threads, named=opened.named
     )
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[state]}"))
-    with Progress(*columns) as bar:
-        row = bar.add_task("training", total=1.0, state="")
-
-        def told(seconds: float, step: int, done: float, loss: float, figure: float | None) -> None:
-            bar.update(row, completed=done, state=f"step {step}, loss {loss:.5f}")
-            if figure is not None:
-                bar.console.print(f"{seconds / 60:6.1f} min  step {step}  {figure:.2f} dB on queries held out")
-
-        run(task, output, minutes=minutes, steps=steps, seed=seed, resume=resume, told=told)
-    click.echo(f"Wrote {output} and its curve {output.with_suffix('.svg')}.")
+    minutes = 10.0 if steps is None and minutes is None else minutes
+    train_with_bar(task, output, minutes, steps, seed=seed, resume=resume)
 
 
 @neural.command()

@@ -8,9 +8,9 @@ from tempfile import TemporaryDirectory
 from typing import ClassVar
 
 from brdffit.errors import InputError
-from brdffit.learned.training import train
 from brdffit.methods import Baked, Material, Progress
 from brdffit.microgeometry.tracer import Effects, Microgeometry
+from brdffit.nets.training import train
 from brdffit.neural.material import read_material
 from brdffit.neural.source import learned_size
 from brdffit.neural.training import NeuralTask

@@ -76,7 +76,7 @@ class Held:
 
 
 class NeuralTask:
-    """A material, and what is trained of it: a ``Task`` of ``brdffit.learned.training``.
+    """A material, and what is trained of it: a ``Task`` of ``brdffit.nets.training``.
 
     Args:
         source: what answers queries.

@@ -1,0 +1,62 @@
+"""What the trainings of `learned`, `latent` and `mipnet` share: their sets, and what a file of weights says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+from numpy.typing import NDArray
+
+from brdffit.learned.data import set_digest
+from brdffit.nets.adam import Adam
+from brdffit.nets.layers import Network
+from brdffit.nets.training import warm_then_falling
+
+
+class SetsTask:
+    """A training on texture sets.
+
+    Args:
+        sources: sets to train on.
+        held_out: sets for the figure; with none, it is that of the training sets.
+    """
+
+    def __init__(self, sources: Sequence[str | Path], held_out: Sequence[str | Path]) -> None:
+        self.sources, self.held_out = [Path(each) for each in sources], [Path(each) for each in held_out]
+
+    @property
+    def judging(self) -> list[Path]:
+        """Sets that the figure is of."""
+        return self.held_out or self.sources
+
+    def provenance(self) -> dict[str, Any]:
+        """The sets, and the licence that follows from them."""
+        return {
+            "training_sets": {each.name: set_digest(each) for each in self.sources},
+            "held_out_sets": [each.name for each in self.held_out],
+            "licence": "trained on CC0-1.0 texture sets",
+        }
+
+
+class ChainTask(SetsTask):
+    """A training of one chain of layers, ``network.chain``; the rate falls from ``rates[0]`` to ``rates[1]``."""
+
+    network: Any
+    rates: ClassVar[tuple[float, float]]
+
+    def networks(self) -> dict[str, Network]:
+        """The chain."""
+        return {"chain": self.network.chain}
+
+    def optimiser(self, size: int) -> Adam:
+        """Adam with a short memory."""
+        return Adam(size)
+
+    def rate(self, step: int, done: float) -> float:
+        """Warm up, hold for the first half, then fall geometrically."""
+        return warm_then_falling(step, done, *self.rates)
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Of the network."""
+        return self.network.arrays()

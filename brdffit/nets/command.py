@@ -1,0 +1,67 @@
+"""What commands that train share: their options, the checks of these, and a bar while the training runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+def training_options(output: str, minutes: str, seed: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Output, minutes or steps, seed and resume.
+
+    Args:
+        output, minutes: defaults.
+        seed: what it is of.
+    """
+
+    def add(command: Callable[..., None]) -> Callable[..., None]:
+        for option in (
+            click.option("--resume", is_flag=True, help="Go on from the checkpoint beside the output."),
+            click.option("--seed", type=click.IntRange(min=0), default=0, help=seed),
+            click.option("--steps", type=click.IntRange(min=1), help="Instead of minutes: same seed, same weights."),
+            click.option(
+                "--minutes", type=click.FloatRange(0, min_open=True), show_default=minutes, help="Of training."
+            ),
+            click.option("-o", "--output", type=click.Path(path_type=Path), default=Path(output)),
+        ):
+            command = option(command)
+        return command
+
+    return add
+
+
+def check_training(output: Path, minutes: float | None, steps: int | None) -> None:
+    """See, before the work, that a training was asked for rightly.
+
+    Raises:
+        click.UsageError: when minutes and steps are both given.
+        InputError: when the output is not named .npz.
+    """
+    from brdffit.errors import InputError
+
+    if minutes is not None and steps is not None:
+        raise click.UsageError("Give --minutes or --steps, not both.")
+    if output.suffix != ".npz":
+        raise InputError(f"'{output}' must bear a name that ends in .npz.")
+
+
+def train_with_bar(task: Any, output: Path, minutes: float | None, steps: int | None, **named: Any) -> None:
+    """Train a ``nets.training.Task`` with a bar, its loss, and a line for each figure on what is held out."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from brdffit.nets.training import train
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[state]}"))
+    with Progress(*columns) as bar:
+        row = bar.add_task("training", total=1.0, state="")
+
+        def told(seconds: float, step: int, done: float, loss: float, figure: float | None) -> None:
+            bar.update(row, completed=done, state=f"step {step}, loss {loss:.5f}")
+            if figure is not None:
+                bar.console.print(f"{seconds / 60:6.1f} min  step {step}  held out {figure:.2f} dB")
+
+        train(task, output, minutes=minutes, steps=steps, told=told, **named)
+    click.echo(f"Wrote {output} and its curve {output.with_suffix('.svg')}.")
