@@ -19,7 +19,6 @@ from brdffit.cli_options import (
     LIGHTS_HELP,
     OUTPUT_HELP,
     SCENE_HELP,
-    SPECULAR_HELP,
     Command,
     choice,
     known,
@@ -74,7 +73,6 @@ main.add_command(view)
 @click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
 @click.option("--method", default="bfgs", callback=known("method"), help="See `brdffit methods`; or module:object.")
 @click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
-@click.option("--specular", **choice("auto", "bounded", "free", "held"), show_default="auto", help=SPECULAR_HELP)
 @click.option("--lights", metavar="NAME", show_default="mixed", help=LIGHTS_HELP)
 @set_option
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", help="Of the pictures.")
@@ -104,7 +102,7 @@ def bake(
         refuse_beside_scene(context, ("scene_file", "output", "threads", "no_preview", "show"))
         reports = bake_by_plan(scene_file, output, preview=not no_preview, threads=options["threads"])
     elif source is not None:
-        given = {name: value for name, value in options.items() if value not in (None, False, "auto")} | assigned
+        given = {name: value for name, value in options.items() if value not in (None, False)} | assigned
         if levels_from is not None:
             from brdffit.reduction import bake_levels_from
 
@@ -120,7 +118,7 @@ def bake(
 
 
 #: Options of a bake that stand for every set of a library.
-_OF_BAKES = ("preset", "quality", "method", "bits", "compress", "assigned")
+_OF_BAKES = ("preset", "quality", "method", "bits", "assigned")
 _SHARED = [each for each in bake.params if each.name in _OF_BAKES]
 _SHARED += [each for each in bake.params if each.name in READING_OPTIONS and each.name != "roles"]
 
@@ -128,7 +126,12 @@ _SHARED += [each for each in bake.params if each.name in READING_OPTIONS and eac
 @main.command(cls=Command, params=[*_SHARED])
 @click.argument("root", type=click.Path(path_type=Path))
 @click.option("-o", "--output", default="out", metavar="FOLDER", help="Or an address that fsspec knows.")
-@click.option("--settings", type=click.Path(path_type=Path), show_default="ROOT/library.toml", help="By patterns.")
+@click.option(
+    "--settings",
+    type=click.Path(path_type=Path),
+    show_default="ROOT/library.toml",
+    help="Options of all sets, or by patterns.",
+)
 @click.option("--only", multiple=True, metavar="PATTERN", help="Only sets whose place matches, as metal/*; repeatable.")
 @click.option("--shard", callback=shard_of, metavar="I/N", help="Only the I-th of N parts, for array jobs.")
 @click.option("--force", is_flag=True, help="Bake also what is up to date.")

@@ -9,7 +9,6 @@ import click
 
 OUTPUT_HELP = "Folder to write into; the set gets one of its own name there."
 SCENE_HELP = "Instead of SET: every surface of this scene, as its plan says; see `brdffit plan`."
-SPECULAR_HELP = "Fit the scale of the lobe, or hold the filtered colour; auto: as the preset stores."
 LEVELS_FROM_HELP = "SET is a very large height map: its level K becomes level 0, the rest roughness."
 LIGHTS_HELP = "To look right under: point, sun, lamp, window, sky, mixed, or radii in degrees."
 SET_HELP = "Any other option of the method, see `brdffit methods NAME`; repeatable."

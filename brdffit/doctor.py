@@ -382,6 +382,6 @@ def _advice(diagnosis: Diagnosis) -> list[str]:
     if kept is not None and kept < 1.0 - ENERGY_LOST:
         sentences.append(
             f"The free scale of the lobe keeps {kept:.0%} of the specular energy at level {least.level}: "
-            f"--specular held keeps all of it, at a lower SNR."
+            f"--set fit.specular=held keeps all of it, at a lower SNR."
         )
     return sentences

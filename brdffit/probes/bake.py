@@ -136,20 +136,44 @@ def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = No
     surroundings = read_surroundings(path, options.layout, options.clamp)
     natural = min(surroundings.natural_size, _LARGEST_SOURCE)
     source = as_cube(surroundings, max(natural, preset.size), preset.centre, options.rotate, threads)
-    read_seconds = time.perf_counter() - began
+    seconds = {"reading": time.perf_counter() - began}
     notes = list(surroundings.notes)
     if natural < preset.size:
         notes.append(f"The source resolves about {natural} texels a face: level 0 of {preset.size} holds no more.")
-    tables = ()
-    if options.method == "table":
-        tables = _tables(options, curve)
+    began = time.perf_counter()
+    levels, irradiance = _filtered(source, preset, curve, options, threads, notes)
+    seconds["filtering and measuring"] = time.perf_counter() - began
+    began = time.perf_counter()
+    nine = irradiance_nine(source)
+    drawn = nine_basis(directions(IRRADIANCE_SIZE)) @ nine
+    nine_error = float(np.abs(drawn - irradiance.radiance).sum() / max(np.abs(irradiance.radiance).sum(), 1e-30))
+    if drawn.min() < 0.0:
+        notes.append("The nine harmonics of irradiance are negative in places: use the cube.")
+    sun = find_sun(source)
+    if preset.container == "exr" and options.split:
+        rest, _ = split_bright(levels[0].radiance, options.split)
+        levels[0] = with_radiance(levels[0], rest)
+        notes.append(f"Level 0 is cut at {options.split:g} times the mean: light the scene with the sun besides.")
+    levels, scale, clamped = _within_format(levels, preset, options.scale, notes)
+    if scale != 1.0:
+        irradiance, nine = with_radiance(irradiance, irradiance.radiance * scale), nine * scale
+    seconds["irradiance and sun"] = time.perf_counter() - began
+    return Probe(
+        surroundings, preset, curve, source, levels, irradiance, nine, nine_error, sun, clamped, scale, notes, seconds
+    )
+
+
+def _filtered(
+    source: NDArray, preset: ProbePreset, curve: Curve, options: ProbeOptions, threads: int, notes: list[str]
+) -> tuple[list[FilteredLevel], FilteredLevel]:
+    """All levels of a cube and its irradiance; what is to be known of them is added to ``notes``."""
+    tables = _tables(options, curve) if options.method == "table" else ()
     filtering = FilterOptions(
         options.method, options.tolerance, options.split, options.samples, options.order, tables, threads
     )
     # What the other methods make is one lobe a texel.
     keep_narrow = options.keep_narrow or options.method not in ("tree", "brute")
     requests = level_requests(curve, preset.size, source.shape[1], options.level0 == "copy", keep_narrow)
-    began = time.perf_counter()
     wide = LevelRequest(0, IRRADIANCE_SIZE, 1.0, 1.0)
     if options.method == "tree":
         *levels, irradiance = filter_levels(source, [*requests, wide], filtering)
@@ -168,28 +192,7 @@ def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = No
     missed = [str(e.request.level) for e in levels if e.error is not None and e.error > options.tolerance]
     if missed and options.method == "tree":
         notes.append(f"Level {', '.join(missed)} errs by more than the tolerance of {options.tolerance:g}.")
-    filter_seconds = time.perf_counter() - began
-    began = time.perf_counter()
-    nine = irradiance_nine(source)
-    drawn = nine_basis(directions(IRRADIANCE_SIZE)) @ nine
-    nine_error = float(np.abs(drawn - irradiance.radiance).sum() / max(np.abs(irradiance.radiance).sum(), 1e-30))
-    if drawn.min() < 0.0:
-        notes.append("The nine harmonics of irradiance are negative in places: use the cube.")
-    sun = find_sun(source)
-    if preset.container == "exr" and options.split:
-        rest, _ = split_bright(levels[0].radiance, options.split)
-        levels[0] = with_radiance(levels[0], rest)
-        notes.append(f"Level 0 is cut at {options.split:g} times the mean: light the scene with the sun besides.")
-    levels, scale, clamped = _within_format(levels, preset, options.scale, notes)
-    if scale != 1.0:
-        irradiance, nine = with_radiance(irradiance, irradiance.radiance * scale), nine * scale
-    seconds = {
-        "reading": read_seconds, "filtering and measuring": filter_seconds,
-        "irradiance and sun": time.perf_counter() - began,
-    }  # fmt: skip
-    return Probe(
-        surroundings, preset, curve, source, levels, irradiance, nine, nine_error, sun, clamped, scale, notes, seconds
-    )
+    return levels, irradiance
 
 
 def _preset(options: ProbeOptions) -> ProbePreset:

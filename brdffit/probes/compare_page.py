@@ -15,9 +15,6 @@ _LEVELS = 7
 
 def page(records: dict[str, Any]) -> str:
     """The report as one HTML page."""
-    preimages, methods, split = records["preimages"], records["methods"], records["split_sum"]
-    names = list(dict.fromkeys(each["method"] for each in methods))
-    by = {(each["environment"], each["method"]): each for each in methods}
     environments = records["environments"]
     sections = [
         "<h1>Reflection probes, compared</h1>",
@@ -25,61 +22,8 @@ def page(records: dict[str, Any]) -> str:
         "Activision's roughness curve. Error: sum |a - b| / sum b against brute force, mean of levels 1 to 6. "
         "Seconds are processor time on this machine; compare ratios.</p>",
         '<img src="front.png" alt="error over time">',
-        _html_table(
-            ["method", *environments, "mean", "worst texel (99%)", "seconds"],
-            [
-                [
-                    name,
-                    *(_percent(by[e, name]["error"]) for e in environments),
-                    _percent(float(np.mean([by[e, name]["error"] for e in environments]))),
-                    f"{max(by[e, name]['worst'] for e in environments):.3g}",
-                    f"{np.mean([by[e, name]['seconds'] for e in environments]):.2f}",
-                ]
-                for name in names
-            ],
-        ),
-        "<h2>The paper's tables, beside ours</h2>",
-        "<p>L1 between preimages of unit integral, over the sphere (Manson and Sloan 2016, tables 1 to 3). Ours on "
-        "held-out texels. The tables are fitted by <code>brdffit probe table</code>; no number of the "
-        "paper's is used.</p>",
-        _html_table(
-            ["table", *(f"level {level}" for level in range(1, _LEVELS)), "mean", "paper", "processor s to fit"],
-            [
-                [
-                    each["table"],
-                    *(_number(each["levels"].get(str(level))) for level in range(1, _LEVELS)),
-                    _number(each["mean"]),
-                    _number(each["paper"]),
-                    f"{each['seconds']:.0f}",
-                ]
-                for each in preimages["tables"]
-            ]
-            + [
-                [
-                    f"importance sampling, {each['samples']}",
-                    *(_number(each["levels"][str(level)]) for level in range(1, _LEVELS)),
-                    _number(each["mean"]),
-                    _number(each["paper"]),
-                    "",
-                ]
-                for each in preimages["importance"]
-            ]
-            + [
-                [f"paper: {name}", *map(_number, row[1:]), _number(float(np.mean(row[1:]))), "", ""]
-                for name, row in TABLE_2.items()
-            ],
-        ),
-        _html_table(
-            ["irradiance", "error", "paper"],
-            [
-                [f"harmonics of order {e['order']}", _number(e["error"]), _number(e["paper"])]
-                for e in preimages["harmonics"]
-            ]
-            + [[e["table"], _number(e["error"]), _number(e["paper"])] for e in preimages["irradiance"]],
-        ),
-        "<p>How the searches went: the best error on the searched texels over processor time, and as a dot the error "
-        "on held-out texels at the end.</p>",
-        '<img src="searches.png" alt="error over time of the searches">',
+        _methods_table(records["methods"], environments),
+        *_preimages_section(records["preimages"]),
         "<h2>One bright texel in the middle of a face, on an edge, at a corner (figure 8)</h2>",
         '<img src="points.png" alt="point responses">',
         *_seam_section(records.get("seams", [])),
@@ -88,20 +32,71 @@ def page(records: dict[str, Any]) -> str:
         "<p>Exact texels read trilinearly at 12 roughnesses from 0.05 to 1, in random directions. "
         "<code>--fit lookup</code> moves the texels to what reads best.</p>",
         _lookup_table(records["lookup"], environments),
+        *_split_sum_section(records["split_sum"]),
+        "<h2>Levels 1, 3 and 5 (figure 7)</h2>",
+        *(f'<h3>{escape(name)}</h3><img src="levels-{escape(name)}.png" alt="levels">' for name in environments),
+    ]
+    return _PAGE.replace("BODY", "\n".join(sections))
+
+
+def _methods_table(methods: list[dict[str, Any]], environments: list[str]) -> str:
+    by = {(each["environment"], each["method"]): each for each in methods}
+    rows = []
+    for name in dict.fromkeys(each["method"] for each in methods):
+        found = [by[environment, name] for environment in environments]
+        rows.append(
+            [
+                name, *(_percent(each["error"]) for each in found), _mean(found, "error"),
+                f"{max(each['worst'] for each in found):.3g}", f"{np.mean([each['seconds'] for each in found]):.2f}",
+            ]
+        )  # fmt: skip
+    return _html_table(["method", *environments, "mean", "worst texel (99%)", "seconds"], rows)
+
+
+def _preimages_section(preimages: dict[str, Any]) -> list[str]:
+    """The paper's tables 1 to 3, irradiance, and how the searches went."""
+
+    def row(name: str, found: dict[str, Any], seconds: str) -> list[str]:
+        levels = (_number(found["levels"].get(str(level))) for level in range(1, _LEVELS))
+        return [name, *levels, _number(found["mean"]), _number(found["paper"]), seconds]
+
+    tables = [row(each["table"], each, f"{each['seconds']:.0f}") for each in preimages["tables"]]
+    tables += [row(f"importance sampling, {each['samples']}", each, "") for each in preimages["importance"]]
+    tables += [
+        [f"paper: {name}", *map(_number, errors[1:]), _number(float(np.mean(errors[1:]))), "", ""]
+        for name, errors in TABLE_2.items()
+    ]
+    named = [(f"harmonics of order {each['order']}", each) for each in preimages["harmonics"]]
+    named += [(each["table"], each) for each in preimages["irradiance"]]
+    return [
+        "<h2>The paper's tables, beside ours</h2>",
+        "<p>L1 between preimages of unit integral, over the sphere (Manson and Sloan 2016, tables 1 to 3). Ours on "
+        "held-out texels. The tables are fitted by <code>brdffit probe table</code>; no number of the "
+        "paper's is used.</p>",
+        _html_table(
+            ["table", *(f"level {level}" for level in range(1, _LEVELS)), "mean", "paper", "processor s to fit"], tables
+        ),
+        _html_table(
+            ["irradiance", "error", "paper"],
+            [[name, _number(each["error"]), _number(each["paper"])] for name, each in named],
+        ),
+        "<p>How the searches went: the best error on the searched texels over processor time, and as a dot the error "
+        "on held-out texels at the end.</p>",
+        '<img src="searches.png" alt="error over time of the searches">',
+    ]
+
+
+def _split_sum_section(split: dict[str, Any]) -> list[str]:
+    rows = zip(split["roughness"], split["errors"], strict=True)
+    return [
         "<h2>What the split sum adds</h2>",
         "<p>Filtered radiance times the table, against the true integral of a white mirror of GGX (F0 = 1). No filter "
         "mends this.</p>",
         _html_table(
             ["roughness", *(f"n.v {nv:g}" for nv in split["cosines"])],
-            [
-                [f"{r:g}", *map(_percent, row)]
-                for r, row in zip(records["split_sum"]["roughness"], records["split_sum"]["errors"], strict=True)
-            ],
+            [[f"{roughness:g}", *map(_percent, errors)] for roughness, errors in rows],
         ),
-        "<h2>Levels 1, 3 and 5 (figure 7)</h2>",
-        *(f'<h3>{escape(name)}</h3><img src="levels-{escape(name)}.png" alt="levels">' for name in environments),
     ]
-    return _PAGE.replace("BODY", "\n".join(sections))
 
 
 def _seam_section(records: list[dict[str, Any]]) -> list[str]:
