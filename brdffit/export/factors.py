@@ -49,14 +49,21 @@ class Factors:
 
 def factors_of(levels: Sequence[Svbrdf]) -> Factors:
     """Factors that make the most of 8 bits, rounded to four digits (upwards where a value must not exceed them)."""
-    roughness, strength = 0.0, 0.0
-    for level in levels:
-        major, minor = (np.sqrt(np.minimum(each, 1.0)) for each in eigenvalues_of_log(level.log_roughness))
-        roughness = max(roughness, math.sqrt(float(minor.max())))
-        strength = max(strength, float(gltf_strength_from_alphas(major, minor).max()))
+    roughness = max(math.sqrt(float(_alphas(level)[1].max())) for level in levels)
     return Factors(
-        round(_normal_scale(levels), 4), _rounded_up(roughness), _rounded_up(strength), _specular_factor(levels)
+        round(_normal_scale(levels), 4), _rounded_up(roughness), largest_strength(levels), _specular_factor(levels)
     )
+
+
+def largest_strength(levels: Sequence[Svbrdf]) -> float:
+    """Largest strength of KHR_materials_anisotropy, rounded up to four digits; 1 where there is none."""
+    return _rounded_up(max(float(gltf_strength_from_alphas(*_alphas(level)).max()) for level in levels))
+
+
+def _alphas(level: Svbrdf) -> tuple[NDArray, NDArray]:
+    """The larger and the smaller alpha (h, w), at most 1."""
+    major, minor = (np.sqrt(np.minimum(each, 1.0)) for each in eigenvalues_of_log(level.log_roughness))
+    return major, minor
 
 
 def _specular_factor(levels: Sequence[Svbrdf]) -> float | None:

@@ -26,7 +26,7 @@ from brdffit.export.cost import Cost
 from brdffit.export.coverage import share_above, with_alpha, with_kept_coverage
 from brdffit.export.dds import write_dds
 from brdffit.export.decompression import decode_blocks
-from brdffit.export.factors import Factors, factors_of
+from brdffit.export.factors import Factors, factors_of, largest_strength
 from brdffit.export.formats import FORMATS, PixelFormat
 from brdffit.export.geometry import Geometry
 from brdffit.export.gltf import write_glb
@@ -272,13 +272,12 @@ class Drawing:
     """
 
     def __init__(self, levels: Sequence[Svbrdf], preset: Preset) -> None:
-        most = factors_of(levels)
         self._levels = levels
         self._normal_y = preset.normal_y
         self._towards = dominant_direction(levels[0])
-        self._strongest = most.strength
         #: By which values are divided: what the preset's material multiplies.
-        self.factors = most if preset.factors else Factors()
+        self.factors = factors_of(levels) if preset.factors else Factors()
+        self._strongest = self.factors.strength if preset.factors else largest_strength(levels)
 
     @property
     def size(self) -> tuple[int, int]:
