@@ -25,11 +25,9 @@ needs_permissions = pytest.mark.skipif(
 )
 
 
-def write(folder, seed=0, size=(8, 8)):
-    pyramid = averaged_pyramid(random_svbrdf(size, seed=seed))
-    return write_baked(
-        Baked.of_lobes(pyramid), folder, name="set", manifest=build_manifest(Baked.of_lobes(pyramid), name="set")
-    )
+def write(folder, seed=0, size=(8, 8), **options):
+    baked = Baked.of_lobes(averaged_pyramid(random_svbrdf(size, seed=seed)))
+    return write_baked(baked, folder, name="set", manifest=build_manifest(baked, name="set"), **options)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -96,6 +94,26 @@ def test_a_full_disk_leaves_what_was_there(tmp_path, missing):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert f"'{folder}" in str(raised.value) and "brdffit-new" not in str(raised.value)
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("preset", "writer"), [("unreal", "write_dds"), ("three", "write_ktx2"), ("gltf", "write_glb")]
+)
+def test_a_disk_that_fills_up_within_a_container_leaves_what_was_there(tmp_path, monkeypatch, preset, writer):
+    if preset == "gltf":
+        pytest.importorskip("alktx2", reason="the extra [basis] is not installed")
+    folder = tmp_path / "set"
+    write(folder, preset=preset)
+    before = contents(tmp_path)
+
+    def fills_the_disk(file, *args, **kwargs):
+        file.write(b"half of it")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pictures, writer, fills_the_disk)
+    with pytest.raises(OutputError, match="No space left on device"):
+        write(folder, seed=1, preset=preset)
     assert contents(tmp_path) == before
 
 

@@ -2,12 +2,16 @@
 
 import json
 import struct
+import sys
 
 import numpy as np
 import pytest
 from container_support import node
 from export_support import random_svbrdf
 
+from brdffit import pipeline
+from brdffit.errors import OutputError, UnknownNameError
+from brdffit.export.compression import MissingEncoderError
 from brdffit.export.factors import factors_of
 from brdffit.export.geometry import geometry_of
 from brdffit.export.metallic import MOST_TINT, reflectance, tinted
@@ -159,3 +163,23 @@ def test_a_listener_is_told_of_each_picture(tmp_path):
     pictures = 4 + len(report.manifest["pictures"])
     told = [name for name in listener.phases if name.endswith("written")]
     assert len(told) == pictures and told[-1] == f"measuring and writing: {pictures} of {pictures} pictures written"
+
+
+def test_what_a_preset_lacks_is_told_before_the_bake(tmp_path, monkeypatch):
+    """The encoder, by the extra that brings it; and sides that the format cannot hold."""
+
+    def bakes(*args):
+        raise AssertionError("baked")
+
+    monkeypatch.setattr(pipeline, "run", bakes)
+    odd = random_svbrdf((6, 10))
+    for preset in ("gltf", "unity"):
+        with pytest.raises(OutputError, match="multiples of 4 .* found 10x6"):
+            bake_to_folder(odd, tmp_path / "out", preset=preset)
+    monkeypatch.setitem(sys.modules, "alktx2", None)
+    for preset in ("gltf", "filament"):
+        with pytest.raises(MissingEncoderError, match=rf"'{preset}' needs .* pip install 'brdffit\[basis\]'"):
+            bake_to_folder(odd, tmp_path / "out", preset=preset)
+    with pytest.raises(UnknownNameError, match="did you mean 'gltf'"):
+        bake_to_folder(odd, tmp_path / "out", preset="gltff")
+    assert not (tmp_path / "out").exists()
