@@ -48,14 +48,14 @@ class Distribution(NamedTuple):
 
     Attributes:
         mean: (n, 3) mean normal m, shorter than 1. inverse: (n, 3, 3) C^-1.
-        log_scale: (n,) -log Z.
+        log_normalisation: (n,) -log Z.
         normal: (n, 3) direction of the mean. tensor: (n, 3) Sigma of a lobe as wide, (XX, YY, XY).
         specular, diffuse: (n, 3).
     """
 
     mean: NDArray
     inverse: NDArray
-    log_scale: NDArray
+    log_normalisation: NDArray
     normal: NDArray
     tensor: NDArray
     specular: NDArray
@@ -98,9 +98,9 @@ class NormalDistributions:
         frame = _frames(normal)
         across = np.einsum("nki,nij,nlj->nkl", frame[:, :2], covariance, frame[:, :2])
         tensor = 2.0 * np.stack([across[:, 0, 0], across[:, 1, 1], across[:, 0, 1]], axis=-1)
-        log_scale = _log_scale(mean, inverse, frame, tensor)
+        log_normalisation = _log_normalisation(mean, inverse, frame, tensor)
         return Distribution(
-            mean, inverse, log_scale, normal, tensor, np.maximum(texels[:, _SPECULAR], 0.0),
+            mean, inverse, log_normalisation, normal, tensor, np.maximum(texels[:, _SPECULAR], 0.0),
             np.maximum(texels[:, _DIFFUSE], 0.0),
         )  # fmt: skip
 
@@ -110,7 +110,7 @@ class NormalDistributions:
 
         half = light + view
         half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-        density = np.exp(_exponent(half - texels.mean, texels.inverse) + texels.log_scale)
+        density = np.exp(_exponent(half - texels.mean, texels.inverse) + texels.log_normalisation)
         return brdf(texels.normal, texels.tensor, texels.specular, texels.diffuse, view, light, density=density)
 
     def sample(self, texels: Distribution, view: NDArray, u: NDArray) -> NDArray:
@@ -208,7 +208,7 @@ def _exponent(off: NDArray, inverse: NDArray) -> NDArray:
     return -0.5 * square - (x * y * inverse[:, 0, 1] + y * z * inverse[:, 1, 2] + x * z * inverse[:, 0, 2])
 
 
-def _log_scale(mean: NDArray, inverse: NDArray, frame: NDArray, tensor: NDArray) -> NDArray:
+def _log_normalisation(mean: NDArray, inverse: NDArray, frame: NDArray, tensor: NDArray) -> NDArray:
     """-log Z (n,): Z is the mean of f(h) / D(h) over half vectors h that follow D(h) (n.h), D the GGX lobe as wide.
 
     Midpoints of rings of equal weight and spokes; f is taken relative to its largest value at a node, for a narrow one

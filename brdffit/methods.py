@@ -127,7 +127,7 @@ class Baked:
 
     Attributes:
         method: its name.
-        options: as it was asked.
+        options: those of the bake.
         appearance: what the renderer asks, see ``brdffit.appearance``.
         lobes: MIP levels of lobes, or None where the result is none; half-angle figures, roughness maps and engine
             pictures are made of these alone.
@@ -166,7 +166,7 @@ class Baked:
 
     @property
     def wrap(self) -> str:
-        """How it goes on beyond its border: "tile" or "clamp"."""
+        """What lies beyond the border: "tile" or "clamp"."""
         return getattr(self.appearance, "wrap", "tile") if self.lobes is None else self.lobes[0].svbrdf.wrap
 
     def check_finite(self, name: str) -> None:
@@ -218,7 +218,7 @@ class Method(Protocol):
     options: ClassVar[type[BakeOptions]]
 
     def prepare(self, material: Material, options: Any) -> None:
-        """Compile, load or train what the bake needs and what is no part of its time."""
+        """Compile, load or train what the bake needs; this is no part of the seconds of the bake."""
         ...
 
     def bake(self, material: Material, options: Any, progress: Progress | None = None) -> Baked:
@@ -309,7 +309,11 @@ def get_method(name: str) -> Method:
 
 
 def one_of(kind: str, name: str, known: Sequence[str]) -> str:
-    """``name`` if it is known, else an UnknownNameError with the nearest name."""
+    """``name``, if it is among the known ones.
+
+    Raises:
+        UnknownNameError: with the nearest known name.
+    """
     if name not in known:
         raise UnknownNameError(kind, name, known)
     return name

@@ -255,7 +255,7 @@ def read_set(
 
 
 def run(read: ReadSet, method: Method, options: BakeOptions, phases: Phases) -> Baked:
-    """Prepare apart, then bake.
+    """Prepare the method, then bake; the seconds of both are kept apart.
 
     Raises:
         OutputError: for lobes that are not finite numbers.
@@ -280,7 +280,7 @@ def finish(
     annotate: Annotate | None = None,
     record: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Measure, draw and write a result, all at once: the files are written while the rest is made.
+    """Measure, draw and write a result; files are written while its figures and its picture are made.
 
     Args:
         read: what was baked. baked: the result. phases: timed.
@@ -309,7 +309,7 @@ def finish(
 
 
 def _in_background(work: Callable[[], None]) -> Future[None]:
-    """Start some work beside; an error that comes first is told without waiting for it."""
+    """Run work in a thread of its own; an error of the caller is told without waiting for its end."""
     pool = ThreadPoolExecutor(1)
     started = pool.submit(work)
     pool.shutdown(wait=False)
@@ -317,7 +317,7 @@ def _in_background(work: Callable[[], None]) -> Future[None]:
 
 
 def _without_normals(options: BakeOptions, without: Collection[str]) -> BakeOptions:
-    """Where all normals are z, the normal is held: there is nothing to search."""
+    """Hold the normal of a set whose normals are not read: all of them are z."""
     return with_options(options, {"normal": "mean"}) if "normal" in without else options
 
 

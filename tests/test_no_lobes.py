@@ -65,7 +65,7 @@ def test_the_distribution_of_normals_is_normalised(detail, rough):
     k = 1.0 / (1.0 + z)
     frame = np.array([(1 - x * x * k, -x * y * k, -x), (-x * y * k, 1 - y * y * k, -y), (x, y, z)])
     off = half @ frame - seen.mean[0]
-    density = np.exp(-0.5 * np.einsum("ni,ij,nj->n", off, seen.inverse[0], off) + seen.log_scale[0])
+    density = np.exp(-0.5 * np.einsum("ni,ij,nj->n", off, seen.inverse[0], off) + seen.log_normalisation[0])
     assert float((density * half[:, 2] * solid).sum()) == pytest.approx(1.0, abs=0.01)
 
 

@@ -53,7 +53,7 @@ class ComparisonDisplay:
         self._bars.stop()
 
     def phase(self, text: str) -> None:
-        """Something begins."""
+        """A phase begins; ``text`` describes it."""
         self._text = text
         if not self._console.is_terminal:
             self._console.print(f"{time.perf_counter() - self._began:6.1f} s  {text}", soft_wrap=True)

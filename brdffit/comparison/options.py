@@ -132,10 +132,10 @@ def variant(name: str, options: Mapping[str, Any]) -> tuple[Method, BakeOptions]
 
 
 class Listener(Protocol):
-    """Who wants to know how far a comparison is."""
+    """Is told how far a comparison is."""
 
     def phase(self, text: str) -> None:
-        """Something begins."""
+        """A phase begins; ``text`` describes it."""
 
     def __call__(self, level: int, done: int, total: int) -> None:
         """So many texels of a level are baked."""

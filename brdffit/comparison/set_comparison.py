@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -33,6 +33,7 @@ from brdffit.report.records import (
     MethodResult,
     SetResult,
     Skipped,
+    View,
     capped,
 )
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -70,7 +71,7 @@ class SetComparison:
             self.truth: Svbrdf | Truth = self.base if asked.truth is None else asked.truth(self.read.material)
 
     def run(self) -> SetResult:
-        """Everything, in order."""
+        """Bake, measure and draw the set; returns its records, the pictures stay in ``pictures``."""
         baked, seconds = self._bake()
         lobes_of = {name: each.lobes for name, each in baked.items() if each.lobes is not None}
         pyramids = {name: [level.svbrdf.over_black() for level in pyramid.levels] for name, pyramid in lobes_of.items()}
@@ -86,48 +87,48 @@ class SetComparison:
             ]
         with self._phase("pairs of light and viewer"):
             pairs = self._pairs(pyramids, depth)
-        views = []
         with self._phase("pictures"):
             if self.truth is self.base:
-                seen = all_views(self.truth, drawn, kept, depth, self.studio, self._tell)
+                views = self._stored(all_views(self.truth, drawn, kept, depth, self.studio, self._tell))
             else:
-                seen = tilted_views(self.truth, drawn, depth, self.studio, self._tell)
-            for view, shown in seen:
-                for name, picture in shown.items():
-                    self._store(f"{view.key}-{name}", picture)
-                view.reference = self._path(f"{view.key}-reference")
-                for shot in view.shots:
-                    shot.picture = self._path(f"{view.key}-{shot.method}")
-                views.append(view)
+                views = self._stored(tilted_views(self.truth, drawn, depth, self.studio, self._tell))
         with self._phase("lobes"):
-            lobes = (
-                self._lobes(pyramids, half_angle, fit if fit in pyramids else next(iter(pyramids))) if pyramids else []
-            )
+            held_against = fit if fit in pyramids else next(iter(pyramids), "")
+            lobes = self._lobes(pyramids, half_angle, held_against) if pyramids else []
             overview = self._overview()
         with self._phase("maps"):
             maps = {name: self._store(f"maps-{name}", map_strip(levels)) for name, levels in pyramids.items()}
         sizes = level_sizes(self.base.size, depth)
         results = [
             MethodResult(
-                method=name,
-                seconds=seconds[name],
-                maps=maps.get(name, ""),
-                notes=baked[name].notes + self._trained(name) + ([] if name in pyramids else [_NO_LOBES]),
+                method=name, seconds=seconds[name], maps=maps.get(name, ""),
+                notes=result.notes + self._trained(name) + ([] if name in pyramids else [_NO_LOBES]),
                 levels=[
-                    self._level(k, size, half_angle[k].get(name), pairs[k].get(name))
-                    for k, size in enumerate(sizes)
+                    self._level(k, size, half_angle[k].get(name), pairs[k].get(name)) for k, size in enumerate(sizes)
                 ],
             )
-            for name in baked
+            for name, result in baked.items()
         ]  # fmt: skip
         read = self.read
         return SetResult(
             name=self.name, size=self.base.size, wrap=self.base.wrap, methods=results, skipped=self.skipped,
             distances=distances_of(self.base.size, len(sizes), self.studio.reach), views=views, lobes=lobes,
-            overview=overview,
-            maps_levels=len(sizes), seconds={name: round(value, 3) for name, value in self.seconds.items()},
+            overview=overview, maps_levels=len(sizes),
+            seconds={name: round(value, 3) for name, value in self.seconds.items()},
             inputs={role: path.name for role, path in read.inputs()}, notes=read.notes + self._notes_of_truth(),
         )  # fmt: skip
+
+    def _stored(self, seen: Iterable[tuple[View, dict[str, NDArray]]]) -> list[View]:
+        """Views that name their pictures, which are kept."""
+        views = []
+        for view, shown in seen:
+            for name, picture in shown.items():
+                self._store(f"{view.key}-{name}", picture)
+            view.reference = self._path(f"{view.key}-reference")
+            for shot in view.shots:
+                shot.picture = self._path(f"{view.key}-{shot.method}")
+            views.append(view)
+        return views
 
     def _notes_of_truth(self) -> list[str]:
         """What a reader must know where the truth is not the set's SVBRDF."""
@@ -181,7 +182,7 @@ class SetComparison:
         return [said] if said else []
 
     def _kept(self, levels: Sequence[Svbrdf], fit: str) -> Pyramids:
-        """The fit with level 0 as authored, where that is another level 0."""
+        """The pyramid of the fit with level 0 as authored; empty where it has that level already."""
         if levels[0].model != self.base.model or self.options.keep_level_0:
             return {}
         return {fit + KEPT_SUFFIX: [self.base, *levels[1:]]}
@@ -260,7 +261,8 @@ class SetComparison:
     def _store(self, name: str, picture: NDArray) -> str:
         path = self._path(name)
         if picture.dtype != np.uint8:
-            picture = np.round(255.0 * np.nan_to_num(picture)).astype(np.uint8)  # its figures tell of what is no number
+            # A picture cannot hold NaN; its figures tell of it.
+            picture = np.round(255.0 * np.nan_to_num(picture)).astype(np.uint8)
         self.pictures[path] = picture
         return path
 

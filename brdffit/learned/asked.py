@@ -1,4 +1,4 @@
-"""What the learned methods share: what they were not trained for, their weights, bounds of what a network says."""
+"""What the learned methods share: checks against what they were trained for, files of weights, bounds of outputs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from brdffit.svbrdf import Svbrdf
 
 #: Of the option ``weights``: those that the program ships.
 SHIPPED = "shipped"
-#: Scales are never corrected by more than this factor's log.
+#: Largest log of the factor by which a scale is corrected.
 MOST_FACTOR = 2.0
 
 
@@ -80,7 +80,7 @@ def weights_path(name: str, shipped: Path) -> Path:
 
 
 def told_of(meta: Mapping[str, Any]) -> str:
-    """How weights were made: a sentence of their meta."""
+    """A sentence on how weights were made, from their meta."""
     sets, seconds = len(meta.get("training_sets", ())), float(meta.get("seconds", 0.0))
     took = f"{seconds / 60.0:.0f} min" if seconds >= 120.0 else f"{seconds:.0f} s"
     return (

@@ -81,7 +81,7 @@ class Learned(LobeMethod):
         return told_of(load_network(weights_path(options.weights, LEARNED))[1])
 
     def bake_lobes(self, svbrdf: Svbrdf, options: LearnedOptions, progress: Progress | None = None) -> Pyramid:
-        """Say every level from the moments of its footprints.
+        """Predict every level from the moments of its footprints.
 
         Raises:
             InputError: for another lobe model than the weights', or numbers that are not finite.

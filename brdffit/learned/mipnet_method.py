@@ -1,4 +1,4 @@
-"""The method ``mipnet``: each level of lobes is said from four texels of the level before; colours are averaged."""
+"""The method ``mipnet``: each level is predicted from four texels of the level before; colours are averaged."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Mipnet(LobeMethod):
         return told_of(load_mipnet(weights_path(options.weights, SHIPPED))[1])
 
     def bake_lobes(self, svbrdf: Svbrdf, options: MipnetOptions, progress: Progress | None = None) -> Pyramid:
-        """Say every level from the one before.
+        """Predict every level from the one before.
 
         Raises:
             InputError: for another lobe model than the weights', or numbers that are not finite.

@@ -1,4 +1,4 @@
-"""The same work on many machines, by a Dask scheduler that somebody started: nothing of a scheduler is ours.
+"""The same work on many machines, by a Dask scheduler that the user has started.
 
 Root and output must be the same places for all machines (a shared folder, or an address that fsspec knows). A task
 takes one thread, for a Dask worker runs as many tasks at once as it has threads.

@@ -128,7 +128,7 @@ class Pool:
         return None
 
     def _steal(self) -> Job | None:
-        """A job that a busy worker has read ahead."""
+        """Take a job that a busy worker has read ahead but not begun."""
         for other in self.workers:
             if other.now is not None and other.next is not None:
                 job, other.next = other.next, None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -121,5 +122,11 @@ def _apart(halves: NDArray, diameter: int) -> NDArray:
 
 def over_background(radiance: NDArray, background: NDArray) -> NDArray:
     """A ball (n, n, 3) with its soft rim on a ground (3,) of linear radiance."""
-    coverage = scenes.sphere((1, 1), 0, radiance.shape[:2]).coverage[..., None]
+    coverage = _coverage(radiance.shape[0])
     return radiance * coverage + background * (1.0 - coverage)
+
+
+@cache
+def _coverage(diameter: int) -> NDArray:
+    """(n, n, 1) share of each pixel that a ball covers."""
+    return scenes.sphere((1, 1), 0, (diameter, diameter)).coverage[..., None]

@@ -51,8 +51,8 @@ def snr_db_of_halves(picture: NDArray, halves: NDArray) -> float:
     """`snr_db` against a reference that is itself sampled: two independent halves A and B (2, h, w, 3) of it.
 
     The picture may be sampled too: two halves P and Q (2, h, w, 3), independent of each other and of the reference.
-    Then sum (P - A)(Q - B) is the squared error and sum A B the power without anybody's noise, on average (that is how
-    Kemppinen's Noise2Noise loss gets by with noisy references); infinite where no error is left, or less than none.
+    Then sum (P - A)(Q - B) is the squared error and sum A B the power without the noise of either, on average (as in
+    Kemppinen's Noise2Noise loss, which bears noisy references); infinite where no error is left, or less than none.
     """
     error, power = _squares_of_halves(picture, halves)
     if error <= 0.0:

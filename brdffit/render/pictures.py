@@ -30,7 +30,7 @@ from brdffit.svbrdf import Svbrdf
 
 #: Directions of either kind that a half of a picture takes: of a lobe in the compiled loops, and in the path in numpy.
 _DIRECTIONS, _PLAIN_DIRECTIONS = 512, 64
-#: Far from the numbers that a reference gives to its blocks: what both draw is independent.
+#: Added to the seeds of blocks, beyond all those of a reference: the samples of both are independent.
 _PART = 1 << 24
 #: Pixels that the path in numpy draws at a time.
 _PIXELS = 2048

@@ -1,4 +1,4 @@
-"""A glass facade: panes that are near-mirrors, each a little out of true, in dull frames, with dust at their feet."""
+"""A glass facade: panes that are near-mirrors, each a little out of plane, in dull frames, with dust at their feet."""
 
 from __future__ import annotations
 

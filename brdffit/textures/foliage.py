@@ -1,4 +1,4 @@
-"""Leaves cut out of nothing: waxy, veined, curled, scattered over a texture whose rest is not there."""
+"""Cut-out leaves: waxy, veined, curled, scattered over a texture that is transparent elsewhere."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class LeafLitter(msgspec.Struct, forbid_unknown_fields=True):
             tone = tone * (1.0 + 0.12 * cloud + 0.05 * grain)[:, :, None]
             tone += (np.array(self.vein) - tone) * (0.7 * veins)[:, :, None]
             over = mask > 0.0
-            # Each leaf's own slopes: where it ends, nothing falls off a cliff.
+            # Slopes of the leaf alone: its border is no step of the surface.
             gradient[over] = height_gradient(shape * 0.5 * scale * self.length * size, "tile")[over]
             color[over] = tone[over]
             waxy, dry = self.roughness

@@ -113,7 +113,7 @@ class GroovedRecord(msgspec.Struct, forbid_unknown_fields=True):
         for gap in (0.16, 0.39, 0.55, 0.79):
             band = inner + gap * (outer - inner)
             grooved *= np.clip(np.abs(radius - band) / 0.004 - 0.6, 0.0, 1.0)
-        # The music: each groove bends along the angle, its neighbours differently.
+        # The recorded signal bends each groove along the angle, its neighbours differently.
         bend = sum(np.cos(k * angle + rng.uniform(0, 6) + rng.uniform(2, 9) * turn) / k**0.5 for k in (5, 13, 29, 47))
         loud = 0.75 + 0.25 * np.cos(3.1 * turn / self.grooves * 6.28 + rng.uniform(0, 6))
         wall = self.slope * loud * grooved * np.cos(2.0 * np.pi * (turn + 0.05 * self.modulation * bend))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 #: Agreement (a correlation) from which the evidence for a normal's Y is believed.
 DECISIVE = 0.2
-#: What a guess by the names of a whole set counts, and a height of which x says nothing, over its correlation.
+#: Strength of a guess by the names of a whole set; factor of a height map's correlation where none is seen in x.
 _GUESS, _HALF_BLIND = 0.5, 0.5
 #: Side of the crop on which this is measured, in texels.
 _CROP = 1024
@@ -46,8 +46,8 @@ class Evidence:
 def settle_normal_y(texture_set: TextureSet, normal_y: str | None) -> None:
     """Decide the normal's Y: as it is given, as the file defines it, or by the strongest evidence; OpenGL without any.
 
-    What a name or a file says outright is not measured here, for that reads the map: ``contradiction`` tells when the
-    map is decoded.
+    What a name or a file states is not measured here, for measuring reads the map; ``contradiction`` tells of it when
+    the map is decoded.
     """
     if normal_y is not None:
         texture_set.normal_y, texture_set.normal_y_source = normal_y, "given"

@@ -15,8 +15,8 @@ from brdffit.textures.noise_floor import flat_as_flat, subtract_noise_floor
 from brdffit.textures.orientation import DECISIVE, contradiction, height_agreement, scale_from_slopes
 from brdffit.textures.texture_set import Map, TextureSet
 
-#: Height between the least and the greatest value of a height map nobody gave a scale for, as a share of the texture's
-#: longer side: about the median of the real sets whose normal maps tell it.
+#: Height range of a height map without a given scale, as a share of the texture's longer side: about the median of the
+#: real sets whose normal maps tell it.
 DEFAULT_HEIGHT_SHARE = 0.02
 #: Correlation from which the curl of a normal map is held against what its name says.
 _CONTRADICTS = 0.5
