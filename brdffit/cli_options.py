@@ -29,6 +29,10 @@ class Command(click.Command):
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
+            if error.option_name == "--compress":
+                raise click.UsageError(
+                    '--compress is said in library.toml: compress = "best" under [options].', ctx
+                ) from error
             if error.option_name not in MOVED:
                 raise
             said = f"{error.option_name} is now said by --set, for example --set {MOVED[error.option_name]}"

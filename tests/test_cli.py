@@ -216,6 +216,11 @@ def test_a_flag_that_left_says_where_it_went(run, baked, flag):
     assert make_options(FitOptions, {name: value}, "'bfgs'") != FitOptions()
 
 
+def test_a_library_says_where_the_time_of_blocks_is_said(run):
+    result = run("library", "sets", "--compress", "best")
+    assert result.exit_code == 2 and 'compress = "best" under [options]' in result.stderr
+
+
 def test_an_option_of_another_method_is_refused(run, tmp_path):
     for assignment, told in (("fit.loss=l1", "Method 'lean' has no option 'fit.loss'"), ("level=1", "'levels'")):
         result = run("bake", write_set(tmp_path / "waves"), "--method", "lean", "--set", assignment)
