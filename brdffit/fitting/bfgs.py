@@ -7,6 +7,9 @@ D = (1 + t^2)^-2 / pi and e = |D' - proj D'|^2 / |D|^2 for a change D' of the lo
 - a common change of log alpha^2: e = 0.15 l^2 with free scale, so 1 / sqrt(0.3) = 1.8;
 - an anisotropic change (a = -b, or c): e = 0.2 d^2, so 1 / sqrt(0.4) = 1.6.
 
+With another loss than L2 the true curvature differs by a factor; ``rescaled`` searches scale the matrix by what the
+first step found, y's / y'Hy (Nocedal and Wright 2006, equation 6.20).
+
 These are the units of a step's length as well. Reduced fits leave rows of the matrix 0: isotropic keeps the common
 change alone, a held normal has no shifts.
 """
@@ -29,6 +32,8 @@ _SHIFT, _SIZE, _STRETCH, _SHAPE = 0.65, 1.8, 1.6, 1.0
 _LONGEST_STEP = 2.0
 _ARMIJO = 1e-4
 _BACKTRACKS = 8
+# Bounds of the factor by which a first step may scale the first matrix.
+_LEAST_SCALE, _MOST_SCALE = 0.2, 5.0
 # Sums of a few hundred float32 terms around 1: no decrease below this can be told from rounding.
 _NOISE = 5e-7
 
@@ -85,7 +90,9 @@ def first_inverse(theta, free, inverse):
 
 
 @kernel
-def minimise(theta, value, free, table, setting, moments_kernel, log_normalisation, tolerance, floor, most, space):
+def minimise(
+    theta, value, free, table, setting, moments_kernel, log_normalisation, tolerance, floor, most, rescaled, space,
+):  # fmt: skip
     """Lower the objective from ``theta`` (6,), in place.
 
     ``space.gradient`` must hold the gradient at theta and ``value`` the objective there (relative squared error - 1).
@@ -99,7 +106,7 @@ def minimise(theta, value, free, table, setting, moments_kernel, log_normalisati
     inverse = space.inverse
     xx, yy, xy = first_inverse(theta, free, inverse)
     evaluations = 0
-    for _ in range(most):
+    for iteration in range(most):
         slope = 0.0
         for i in range(PARAMETERS):
             s = 0.0
@@ -150,6 +157,14 @@ def minimise(theta, value, free, table, setting, moments_kernel, log_normalisati
                     s += inverse[i, k] * change[k]
                 image[i] = s
                 quadratic += change[i] * s
+            if rescaled and iteration == 0 and quadratic > 0.0:
+                # The curvature along the first step says by how much the first matrix is off.
+                by = min(max(product / quadratic, _LEAST_SCALE), _MOST_SCALE)
+                quadratic *= by
+                for i in range(PARAMETERS):
+                    image[i] *= by
+                    for k in range(PARAMETERS):
+                        inverse[i, k] *= by
             share = 1.0 / product
             factor = (1.0 + quadratic * share) * share
             for i in range(PARAMETERS):

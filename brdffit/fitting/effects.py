@@ -51,7 +51,8 @@ def seen_by(base: Base, options: FitOptions) -> Seen:
     averaged, scale = {}, 1.0
     if not options.coupling and base.has_diffuse:
         averaged["diffuse"] = base.diffuse
-        base = base._replace(has_diffuse=False)
+        # Under lights with a size the loss weighs the lobe against the diffuse light, which it must see.
+        base = base._replace(has_diffuse=options.lights != "point")
     if not options.correlation:
         averaged["specular"] = base.specular
         scale = float(np.mean(base.specular, dtype=np.float64)) or 1.0

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from brdffit._jit import inline, kernel
+from brdffit.halfangle.albedo import albedo_of
 from brdffit.halfangle.density import half_angle_density
 from brdffit.halfangle.frame import lobe_frame
 from brdffit.halfangle.lights import LOBE_BLUR, SHARE, segment, values_of, widened
@@ -18,9 +19,10 @@ real = np.float32
 
 # What a fit reports of itself, besides its parameters.
 (
-    RED_SCALE, GREEN_SCALE, BLUE_SCALE, RESIDUAL, DISAGREEMENT, COVERAGE, EVALUATIONS, TARGET_NORM, FILTERED
-) = range(9)  # fmt: skip
-# The filtered colour, (red, green, blue) from FILTERED on; 0 where a negative filter weight makes it negative.
+    RED_SCALE, GREEN_SCALE, BLUE_SCALE, RESIDUAL, DISAGREEMENT, COVERAGE, EVALUATIONS, TARGET_NORM, ALBEDO, FILTERED
+) = range(10)  # fmt: skip
+# ALBEDO: of the footprint's lobes as they are rendered, 0 where a bounded scale should not follow it. The filtered
+# colour, (red, green, blue) from FILTERED on; 0 where a negative filter weight makes it negative.
 REPORT = FILTERED + 3
 
 
@@ -78,11 +80,11 @@ def aim(table, colour, target_norm, setting):
 
 
 @inline
-def _bounded(scale, filtered, sky, dd, setting):
-    """The best scale of a channel, <T,D> / <D,D> = ``scale``, with the sky's term and within the bounds."""
-    return min(
-        max((scale * dd + sky * filtered) / (dd + sky), setting[SCALE_LOW] * filtered), setting[SCALE_HIGH] * filtered
-    )
+def _bounded(scale, filtered, sky, dd, rendered, setting):
+    """The best scale of a channel, <T,D> / <D,D> = ``scale``, with the sky's term, times what the lobe loses as it is
+    ``rendered``, within the bounds."""
+    low, high = setting[SCALE_LOW] * filtered, setting[SCALE_HIGH] * filtered
+    return min(max(rendered * min(max((scale * dd + sky * filtered) / (dd + sky), low), high), low), high)
 
 
 @kernel
@@ -120,8 +122,11 @@ def settle_scale(theta, table, setting, values_kernel, log_normalisation, expone
         for k in range(3):
             squared += report[FILTERED + k] ** 2
         sky = setting[ENERGY] * report[TARGET_NORM] / max(squared, 1e-30)
+        rendered = 1.0
+        if report[ALBEDO] > 0.0:
+            rendered = report[ALBEDO] / max(albedo_of(theta), 0.01)
         for k in range(3):
-            report[RED_SCALE + k] = _bounded(report[RED_SCALE + k], report[FILTERED + k], sky, dd, setting)
+            report[RED_SCALE + k] = _bounded(report[RED_SCALE + k], report[FILTERED + k], sky, dd, rendered, setting)
     rho_r, rho_g, rho_b = real(report[RED_SCALE]), real(report[GREEN_SCALE]), real(report[BLUE_SCALE])
     total, alternating = real(0.0), real(0.0)
     for s in range(table.lights.shape[0]):

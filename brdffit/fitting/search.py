@@ -50,8 +50,6 @@ from brdffit.halfangle.objective import (
 from brdffit.halfangle.quadrature import BLUE, GREEN, H_X, H_Y, H_Z, RED, WEIGHT
 from brdffit.halfangle.response import Response
 
-# Relative squared error (8 dB) at which a search is not believed to have found the best lobe.
-_POOR = 0.15
 #: Relative squared error of a lobe beside its target, whatever the gradient says.
 BESIDE = 0.5
 # Peaks of the target that a search beside it tries, how far apart (in widths of the narrow lobe, squared), and by which
@@ -73,9 +71,11 @@ class Search(NamedTuple):
     error) that never is; ``crowd``: samples a stratum, in the mean, above which the first rule is passed over (16
     strata count for twice as many); ``floor``: relative squared error that few nodes, and an early stop, may cost a
     texel each; ``allowed``: that the closed form may; ``loss``: a code of brdffit.fitting.losses; ``sky``: share of an
-    even sky in what the diffuse colour is fitted to; ``usual``: the rule that a texel starts with; ``cell``: how many
-    widths of a lobe, as the smallest light shows it, the normals of a cell of merged lobes may span (0: none are
-    merged); ``response``: the closed form's table.
+    even sky in what the diffuse colour is fitted to; ``poor``: relative squared error above which further starts are
+    tried; ``rescaled``: whether the first inverse Hessian is scaled by the first step; ``rendered``: whether a bounded
+    scale makes good what a lobe loses as it is rendered (brdffit.halfangle.albedo); ``usual``: the rule that a texel
+    starts with; ``cell``: how many widths of a lobe, as the smallest light shows it, the normals of a cell of merged
+    lobes may span (0: none are merged); ``response``: the closed form's table.
     """
 
     free: int
@@ -99,6 +99,9 @@ class Search(NamedTuple):
     allowed: float
     loss: int
     sky: float
+    poor: float
+    rescaled: bool
+    rendered: bool
     usual: int
     cell: float
     response: Response
@@ -153,7 +156,7 @@ def search_on(scratch, table, search, moments_kernel, values_kernel, log_normali
     value = evaluate_table(theta, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation)
     _, evaluations, _ = minimise(
         theta, value, search.free, table, setting, moments_kernel, log_normalisation,
-        search.tolerance, search.floor, search.iterations, space,
+        search.tolerance, search.floor, search.iterations, search.rescaled, space,
     )  # fmt: skip
     report[EVALUATIONS] += evaluations + 1
     clamp_to_domain(theta, search)
@@ -201,7 +204,7 @@ def search_from_starts(scratch, table, search, follow, moments_kernel, log_norma
     best_value, best_status = 1e30, FALLBACK
     for i in range(STARTS):
         # A start too wide for its target sits on a plateau: it "converges" at once, at a large error. Try the next.
-        if i >= follow and 1.0 + best_value < _POOR:
+        if i >= follow and 1.0 + best_value < search.poor:
             break
         if i == 1:
             further_starts(scratch.moments, search.free & FREE_ANISOTROPY == 0, starts)
@@ -221,7 +224,7 @@ def search_from_starts(scratch, table, search, follow, moments_kernel, log_norma
             continue
         value, evaluations, status = minimise(
             scratch.start, value, search.free, table, setting, moments_kernel, log_normalisation,
-            search.tolerance, search.floor, search.iterations, space,
+            search.tolerance, search.floor, search.iterations, search.rescaled, space,
         )  # fmt: skip
         scratch.report[EVALUATIONS] += evaluations
         if value < best_value:
@@ -284,7 +287,7 @@ def search_from_peaks(scratch, table, search, best_value, best_status, moments_k
             continue
         value, evaluations, status = minimise(
             start, value, search.free, table, setting, moments_kernel, log_normalisation,
-            search.tolerance, search.floor, search.iterations, space,
+            search.tolerance, search.floor, search.iterations, search.rescaled, space,
         )  # fmt: skip
         scratch.report[EVALUATIONS] += evaluations
         if value < best_value:

@@ -19,6 +19,7 @@ from brdffit.fitting.losses import (
     weigh_relatively,
 )
 from brdffit.fitting.scoring import (
+    ALBEDO,
     BLUE_SCALE,
     COVERAGE,
     DISAGREEMENT,
@@ -44,6 +45,7 @@ from brdffit.fitting.status import (
     POOR,
     REFINED,
 )
+from brdffit.halfangle.albedo import albedo_of_lobes
 from brdffit.halfangle.apparent_lobe import (
     add_defensive_lobe,
     add_guard,
@@ -79,7 +81,7 @@ _HIDDEN, _LOST = 0.3, 0.6
 _FEW_STRATA = 16
 # Lobes whose alpha^2 is below so many of the smallest light's may look alike: those within a share of the error and
 # a floor. How far from the found lobe to the averaged one is tried.
-_SHARP, _ALIKE, _ALIKE_FLOOR, _NEARER = 4.0, 0.02, 3e-3, (1.0, 0.75, 0.5, 0.25)
+_SHARP, _ALIKE, _ALIKE_FLOOR, _NEARER = 4.0, 0.02, 1e-2, (1.0, 0.75, 0.5, 0.25)
 #: How often a lobe that was found where no nodes stand may ask for nodes of its own.
 GUARDS = 3
 
@@ -119,6 +121,8 @@ def fit_texel(
     sized = lights[0, BASE_BLUR] > 0.0
     sharp = sized and base.isotropic and search.same_model and average_of(lobes, count, scratch.average)
     sharp = sharp and math.exp(scratch.average[2]) < _SHARP * lights[0, BASE_BLUR]
+    if search.rendered and some:
+        report[ALBEDO] = albedo_of_lobes(lobes, count, base.isotropic)
     isotropic = search.free & FREE_ANISOTROPY == 0
     lobes_isotropic = see_lobes(base, lights, count, spread, search.cell, scratch)
     count = scratch.counts[0]
