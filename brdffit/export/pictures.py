@@ -38,6 +38,8 @@ from brdffit.methods import Pyramid
 from brdffit.roughness import log_from_tensor, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 
+#: What the manifest says of a picture, and for a GLB the KTX2 file that goes into it.
+_Made = tuple[dict[str, Any], bytes]
 _TEXELS_PER_BAND = 1 << 20
 _PICTURES_AT_ONCE = 2
 #: Float arithmetic may leave [0, 1] by a few ulps where nothing is lost.
@@ -130,20 +132,13 @@ def write_pictures(
     count = count or Count()
     count.more(len(chosen))
 
-    def write(picture: Picture) -> tuple[dict[str, Any], bytes]:
+    def write(picture: Picture) -> _Made:
         path = folder / f"{name}_{picture.role}.{preset.container}"
         made = _write_picture(path, picture, preset, bits, compress, drawing, cost)
         count.one_done()
         return made
 
-    # Two at a time: the encoder of UASTC uses one core.
-    with ThreadPoolExecutor(_PICTURES_AT_ONCE) as pool:
-        waiting = [pool.submit(write, picture) for picture in chosen]
-        try:
-            made = [each.result() for each in waiting]
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    made = _at_once(write, chosen)
     roles = [picture.role for picture in chosen]
     if preset.container == "glb":
         with (folder / f"{name}.glb").open("wb") as stream:
@@ -160,6 +155,17 @@ def write_pictures(
     return {"pictures": records, "stored": cost.figures()} | factors | _of_alpha(levels)
 
 
+def _at_once(write: Callable[[Picture], _Made], chosen: Sequence[Picture]) -> list[_Made]:
+    """Write pictures, two at a time: the encoder of UASTC uses one core. The first failure ends it."""
+    with ThreadPoolExecutor(_PICTURES_AT_ONCE) as pool:
+        waiting = [pool.submit(write, picture) for picture in chosen]
+        try:
+            return [each.result() for each in waiting]
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
 def wanted_pictures(preset: Preset, pyramid: Pyramid, factors: Factors) -> list[Picture]:
     """The pictures of a preset for which a pyramid has something."""
     has = {
@@ -173,8 +179,8 @@ def wanted_pictures(preset: Preset, pyramid: Pyramid, factors: Factors) -> list[
 
 def _write_picture(
     path: Path, picture: Picture, preset: Preset, bits: int, compress: str, drawing: Drawing, cost: Cost
-) -> tuple[dict[str, Any], bytes]:
-    """Write all levels of a picture; what the manifest says of it, and for a GLB the KTX2 file that goes into it."""
+) -> _Made:
+    """Write all levels of a picture."""
     pixels = pixels_of(picture, preset, bits)
     srgb, codes = encoding_of(picture, preset, pixels, bits)
     encoded, clipped = drawing.draw(picture, srgb, codes)

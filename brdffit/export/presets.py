@@ -7,6 +7,7 @@ and pixel format they are written, and what the engine's user has to do. A new e
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 from brdffit.methods import one_of
@@ -75,13 +76,21 @@ _GEOMETRIC = "perceptual roughness, alpha = r^2, of the isotropic lobe with the 
 _OF_GLTF = "perceptual roughness of the smaller alpha, alpha_b = r^2; alpha_t = mix(alpha_b, 1, strength^2)"
 _OF_MEAN = "perceptual roughness, r^2 (1 + A) and r^2 (1 - A) are the two alphas"
 
-_PLAIN = (
-    Picture("normal", _NORMAL),
-    Picture("roughness", ("roughness",)),
-    Picture("anisotropy", ("direction_x", "direction_y", "ratio_strength"), needs="anisotropy"),
-    Picture("specular", ("specular_r", "specular_g", "specular_b"), srgb=True),
-    Picture("diffuse", ("diffuse_r", "diffuse_g", "diffuse_b"), srgb=True),
-    Picture("occlusion", ("occlusion",), needs="occlusion"),
+_PLAIN = Preset(
+    name="plain",
+    summary="every parameter for itself, a PNG a level",
+    normal_y="gl",
+    roughness=_GEOMETRIC,
+    lobe="anisotropic",
+    specular="free",
+    pictures=(
+        Picture("normal", _NORMAL),
+        Picture("roughness", ("roughness",)),
+        Picture("anisotropy", ("direction_x", "direction_y", "ratio_strength"), needs="anisotropy"),
+        Picture("specular", ("specular_r", "specular_g", "specular_b"), srgb=True),
+        Picture("diffuse", ("diffuse_r", "diffuse_g", "diffuse_b"), srgb=True),
+        Picture("occlusion", ("occlusion",), needs="occlusion"),
+    ),
 )
 _SPECULAR_COLOR = Picture(
     "specularColor", ("specular_color_r", "specular_color_g", "specular_color_b"), True, "specular", "uastc"
@@ -108,15 +117,7 @@ _SURFACE = (
 )
 
 _PRESETS = (
-    Preset(
-        name="plain",
-        summary="every parameter for itself, a PNG a level",
-        normal_y="gl",
-        roughness=_GEOMETRIC,
-        lobe="anisotropic",
-        specular="free",
-        pictures=_PLAIN,
-    ),
+    _PLAIN,
     Preset(
         name="gltf",
         summary="one .glb with UASTC textures: three.js, PlayCanvas, Filament, Babylon.js, viewers of glTF",
@@ -224,14 +225,8 @@ _PRESETS = (
         beside="documents",
         note="In Render Properties turn Texture Cache on and its Auto Generate off, or Cycles reads level 0 alone.",
     ),
-    Preset(
-        name="ntc",
-        summary="a PNG a level, mips/NAME.LEVEL.png, as NVIDIA's RTXNTC tools load them",
-        normal_y="gl",
-        roughness=_GEOMETRIC,
-        lobe="anisotropic",
-        specular="free",
-        pictures=_PLAIN,
+    dataclasses.replace(
+        _PLAIN, name="ntc", summary="a PNG a level, mips/NAME.LEVEL.png, as NVIDIA's RTXNTC tools load them"
     ),
 )
 

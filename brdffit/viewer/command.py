@@ -28,6 +28,10 @@ MOST_TEXELS = 1024
 _WITH_LEVEL_0 = 512
 #: Rows of an environment in the page.
 _SKY_ROWS = 128
+_KEYS = (
+    "Drag or arrow keys: turn; wheel, pinch, + and -: distance; [ and ]: level; d: difference; w: wipe; "
+    "space: moving light."
+)
 
 
 def view(
@@ -84,14 +88,6 @@ def view(
     large = max(base.size) > _WITH_LEVEL_0
     if large:
         notes.append("Level 0 of every panel is the source's.")
-    said = (
-        f"{name}, {base.size[1]}x{base.size[0]}. Averaged: every map filtered for itself, as engines do by default. "
-        "The reference averages light over the pixel and settles within seconds."
-    )
-    keys = (
-        "Drag or arrow keys: turn; wheel, pinch, + and -: distance; [ and ]: level; d: difference; w: wipe; "
-        "space: moving light."
-    )
     data = {
         "wrap": base.wrap,
         # Small sets are repeated so that a texel is not larger than the page's pixels.
@@ -99,15 +95,27 @@ def view(
         "source": pack_levels([base]),
         "methods": [{"name": each, "levels": pack_levels(levels[1:] if large else levels)} for each, levels in panels],
         "environment": sky,
-        "note": " ".join([said, *notes, keys]),
+        "note": " ".join([_said(name, base), *notes, _KEYS]),
     }
+    output = Path(output)
+    write_text(output, _page(name, data))
+    return output
+
+
+def _said(name: str, base: Svbrdf) -> str:
+    return (
+        f"{name}, {base.size[1]}x{base.size[0]}. Averaged: every map filtered for itself, as engines do by default. "
+        "The reference averages light over the pixel and settles within seconds."
+    )
+
+
+def _page(name: str, data: Mapping[str, Any]) -> str:
+    """The text of a page that shows some data."""
     page = (files("brdffit.viewer") / "page.html").read_text(encoding="utf-8")
     # "</" would end the script that holds the data.
     text = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
     title = f"{name}: MIP levels".replace("&", "&amp;").replace("<", "&lt;")
-    output = Path(output)
-    write_text(output, page.replace("TITLE", title, 1).replace("/*DATA*/", text, 1))
-    return output
+    return page.replace("TITLE", title, 1).replace("/*DATA*/", text, 1)
 
 
 def _bake(
