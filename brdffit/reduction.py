@@ -1,7 +1,7 @@
 """A very large height map becomes a small set: what is finer than its new texels becomes roughness and anisotropy.
 
 ``brdffit bake HEIGHT --levels-from K`` makes level K of a height map the level 0 of a set. All of a map of 16384x16384
-texels would take 60 GiB as lobes, so it is read, turned into lobes and baked in bands of rows, of which one at a time
+texels would take 60 GiB, so it is read, turned into lobes and baked in bands of rows, of which one at a time
 is in memory. A band has a margin above and below that is cut off again. A pixel filter reaches at most 2 texels of
 level K from a texel's centre, and the bilinear base one texel of its own further: with a margin of 2 texels of level K
 a band gives each of its texels the numbers that all of the map would. (Where strata are wider than texels, from level
@@ -42,7 +42,7 @@ from brdffit.svbrdf import Svbrdf
 from brdffit.textures.rows import LargeSet, open_large
 
 #: Peak memory of a band's texel and of a texel of level K, in bytes; a test measures that they are enough.
-BYTES_PER_TEXEL, BYTES_PER_REDUCED_TEXEL = 240, 300
+BYTES_PER_TEXEL, BYTES_PER_REDUCED_TEXEL = 320, 300
 #: Side of the part that the picture shows, and the levels that it shows beyond K.
 _SHOWN, _SHOWN_LEVELS = 1024, (0, 1, 3)
 

@@ -12,15 +12,20 @@ from brdffit.cli import main
 from brdffit.errors import InputError
 from brdffit.methods import get_method, method_names
 from brdffit.nets.training import checkpoint_path, train
+from brdffit.microgeometry.queries import Queries, read_queries, write_queries
+from brdffit.microgeometry.tracer import Microgeometry
 from brdffit.nets.weights import read_weights, write_weights
 from brdffit.neural.material import read_material
+from brdffit.neural.measured import Measured
 from brdffit.neural.questions import RADIUS, Answers, batch_of, directions, error_of, random_queries
 from brdffit.neural.source import learned_size
 from brdffit.neural.training import NeuralTask, check_memory
 from brdffit.pipeline import read_set
 from brdffit.render import scenes
 from brdffit.render.pictures import render_appearance
+from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.procedural import make_set
+from brdffit.textures.reading import read_texture_set
 
 SIZE = (32, 32)
 
@@ -239,3 +244,50 @@ def test_the_method_learns_or_reads_a_material_and_is_drawn(tmp_path):
         method.bake(type(read.material)(flat), method.options(steps=1))
     picture = render_appearance(baked.appearance, scenes.plane((32, 32), 1, (24, 24)))
     assert np.isfinite(picture).all() and picture.mean() > 1e-3
+
+
+def measured_file(path, count=6000, radius=0.9):
+    """Queries of a traced surface in a file, as a goniometer would have them."""
+    svbrdf = to_svbrdf(read_texture_set(make_set("pebbles", path.parent / "pebbles", 32)))
+    source, rng = Microgeometry.of(svbrdf), np.random.default_rng(1)
+    asked = random_queries(count, (32, 32), rng)
+    asked[:, 3:7] *= np.float32(radius / RADIUS)
+    light, view = directions(asked)
+    sigma = 0.5 * 2.0 ** asked[:, 2]
+    value = sum(source.query(asked[:, :2], sigma, light, view, seed) for seed in range(4)) / 4.0
+    arrays = (asked[:, :2], sigma, light, view, value)
+    write_queries(path, Queries(*(np.asarray(each, np.float32) for each in arrays), size=(32, 32)))
+    return path
+
+
+def test_a_material_is_learned_from_measured_queries(tmp_path):
+    source, file = measured_file(tmp_path / "measured.npz"), tmp_path / "material.npz"
+    found = []
+    for steps in (2, 400):
+        asked = ["neural", "train", str(source), "-o", str(file), "--size", "16", "--steps", str(steps)]
+        result = CliRunner().invoke(main, asked, catch_exceptions=False)
+        assert result.exit_code == 0 and "6000 measured queries, 23 a texel of level 0" in result.output
+        found.append(read_weights(file, "neural material")[1]["mse_by_level"])
+    first, last = np.array(found)
+    assert len(last) == 5 and last.mean() < 0.5 * first.mean()
+    drawn = CliRunner().invoke(main, ["neural", "render", str(file), "-o", str(tmp_path)], catch_exceptions=False)
+    assert drawn.exit_code == 0 and "the sheet shows the material alone" in drawn.output
+
+
+def test_queries_of_directions_that_are_not_learned_are_left_out(tmp_path):
+    found = read_queries(measured_file(tmp_path / "measured.npz", 2000))
+    tilted = found._replace(light=np.tile(np.float32([0.995, 0.0, np.sqrt(1 - 0.995**2)]), (2000, 1)))
+    with pytest.raises(InputError, match="at least 1024 queries .* within 79 degrees of the normal, and 0 of 2000"):
+        Measured(tilted, (16, 16))
+    kept = Measured(found, (16, 16))
+    assert len(kept.held) == 125 and len(kept.queries) == 1875
+    # A texel of this material is two of the file's, and so one level less.
+    assert np.array_equal(np.sort(kept.queries[:, 2])[:5], np.zeros(5, np.float32))
+    queries, targets = kept.batch(256, np.random.default_rng(0))
+    assert (np.diff(queries[:, 1]) >= 0).all() and targets.shape == (256, 3)
+
+
+def test_a_file_without_queries_is_refused(tmp_path, trained):
+    asked = ["neural", "train", str(trained[1]), "-o", str(tmp_path / "m.npz"), "--steps", "1"]
+    result = CliRunner().invoke(main, asked)
+    assert result.exit_code == 1 and "holds no queries" in result.output and not (tmp_path / "m.npz").exists()

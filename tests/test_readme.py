@@ -24,9 +24,16 @@ COMMANDS = [line for block in re.findall(r"```sh\n(.*?)```", TEXT, re.S) for lin
 MAKE = [line for line in COMMANDS if line.startswith("make ")]
 BRDFFIT = [line for line in COMMANDS if line.startswith("brdffit ")]
 PROGRAMS = re.findall(r"```python\n(.*?)```", TEXT, re.S)
-SETS = ("glossy-tiles", "grooved-record", "hammered-metal", "brushed-metal", "pebbles", "plaster-wall", "rocky-terrain")
+SETS = ("glossy-tiles", "grooved-record", "hammered-metal", "brushed-metal", "pebbles", "plaster-wall", "rocky-terrain",
+        "brushed-strokes-4k")  # fmt: skip
 # Planning measures each effect of a scene, and a neural material is learned for minutes, before it is drawn.
-SLOW = ("brdffit plan", "brdffit bake --scene", "brdffit compare --scene", "brdffit neural")
+SLOW = (
+    "brdffit plan",
+    "brdffit bake --scene",
+    "brdffit compare --scene",
+    "brdffit neural",
+    "brdffit compare data/sets/p",
+)
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ def train(
     source: Path, output: Path, size: int, minutes: float | None, steps: int | None, paper: bool, no_offset: bool,
     bounces: int, seed: int, resume: bool, threads: int | None, **reading: Any,
 ) -> None:  # fmt: skip
-    """Learn SET, a texture set with a height map, from queries of its traced surface.
+    """Learn SET, a texture set with a height map, from queries of its traced surface; or an .npz of measured queries.
 
     Writes the material, its curve as SVG and, while it is at work, a checkpoint each minute.
     """

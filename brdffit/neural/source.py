@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from brdffit.errors import InputError
-from brdffit.microgeometry.queries import QuerySource
+from brdffit.microgeometry.queries import Queries, QuerySource, read_queries
 from brdffit.microgeometry.tracer import Effects, Microgeometry
 from brdffit.neural.material import NeuralMaterial
 from brdffit.neural.questions import Answers
@@ -17,12 +17,14 @@ from brdffit.textures.reading import read_texture_set
 
 #: Sides of level 0 that can be learned.
 _LEAST, _MOST = 4, 4096
+#: Queries a texel of the paper's training.
+_PAPER_QUERIES = 220
 
 
 class Opened(NamedTuple):
     """A source, the size of level 0, what the file of weights says of them, and sentences for the user."""
 
-    source: QuerySource
+    source: QuerySource | Queries
     size: tuple[int, int]
     named: dict[str, Any]
     notes: list[str]
@@ -34,15 +36,23 @@ def open_source(
     """What answers queries of a texture set, and the size at which it is learned.
 
     Args:
-        path: a texture set with a height map.
+        path: a texture set with a height map, or an .npz of measured queries.
         side: texels of the longer side of level 0.
         reading: how the set is read, see ``brdffit.textures.reading``.
         bounces: how often light goes from the surface to itself.
         threads: None: all cores.
 
     Raises:
-        InputError: when the set cannot be read or has no height map, or the size cannot be learned.
+        InputError: when the set cannot be read or has no height map, the file holds no queries, or the size cannot be
+            learned.
     """
+    if path.suffix.lower() == ".npz" and path.is_file():
+        measured = read_queries(path)
+        size, notes = learned_size(measured.size, side)
+        count = len(measured.position)
+        each = f"{count / math.prod(size):.0f} a texel of level 0 (the paper has {_PAPER_QUERIES})"
+        notes.append(f"{count} measured queries, {each}.")
+        return Opened(measured, size, {"source": str(path), "source_size": list(measured.size)}, notes)
     source = open_traced(path, reading, bounces, threads)
     size, notes = learned_size(source.size, side)
     named = {
@@ -94,7 +104,8 @@ def answers_for(material: NeuralMaterial, truth: Path | None) -> Answers | None:
     reading, path = {}, truth
     if truth is None:
         reading, path = dict(meta.get("reading") or {}), Path(str(meta.get("source", "")))
-        if not path.exists() or "source" not in meta:
+        # Measured queries answer nothing but themselves.
+        if not path.exists() or "source" not in meta or path.suffix.lower() == ".npz":
             return None
     assert path is not None
     source = open_traced(path, reading, int(meta.get("bounces", 0)))

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from brdffit.errors import InputError
 from brdffit.machine import free_memory
-from brdffit.microgeometry.queries import QuerySource
+from brdffit.microgeometry.queries import Queries, QuerySource
 from brdffit.nets.adam import Adam
 from brdffit.neural.kernels.dense import MATRIX
 from brdffit.neural.kernels.material import LAYERS, QUERY
 from brdffit.neural.material import KIND, arrays_of, meta_of
+from brdffit.neural.measured import Measured
 from brdffit.neural.network import PARTS, Design, Learner, Network
 from brdffit.neural.questions import Answers, batch_of, directions, error_of, random_queries
 
@@ -50,17 +51,27 @@ class Trained:
 
 
 class Held:
-    """Queries that are never learned, at each level, with the mean of many samples.
+    """Queries that are never learned, at each level, with the mean of many samples, or as they were measured.
 
     Args:
         answers: what is asked.
         size: of level 0.
         count, samples: a level.
+        on_plane: whether answers are pi M.
     """
 
-    def __init__(self, answers: Answers, size: tuple[int, int], count: int, samples: int) -> None:
-        self.queries, self.truth, self.on_plane = [], [], answers.on_plane
+    def __init__(
+        self, answers: Answers | Measured, size: tuple[int, int], count: int, samples: int, on_plane: bool
+    ) -> None:
+        self.queries: list[NDArray] = []
+        self.truth: list[NDArray] = []
+        self.on_plane = on_plane
         for level in range(max(size).bit_length()):
+            if isinstance(answers, Measured):
+                queries, truth = answers.judged(level)
+                self.queries.append(queries)
+                self.truth.append(truth)
+                continue
             rng = np.random.default_rng([_SEED_OF_FIGURE, level])
             self.queries.append(random_queries(count, size, rng, float(level)))
             self.truth.append(answers.twice(self.queries[-1], _SEED_OF_FIGURE + 1000 * level, samples))
@@ -79,7 +90,7 @@ class NeuralTask:
     """A material, and what is trained of it: a ``Task`` of ``brdffit.nets.training``.
 
     Args:
-        source: what answers queries.
+        source: what answers queries, or queries that were measured.
         size: (height, width) of level 0, powers of two.
         seed: of initial weights, queries and batches.
         paper: exactly as the paper.
@@ -91,19 +102,23 @@ class NeuralTask:
     kind = KIND
 
     def __init__(
-        self, source: QuerySource, size: tuple[int, int], seed: int = 0, *, paper: bool = False,
+        self, source: QuerySource | Queries, size: tuple[int, int], seed: int = 0, *, paper: bool = False,
         with_offset: bool = True, threads: int | None = None, named: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
         check_memory(size)
         self.paper, self.seed, self.named = paper, seed, named or {}
         self.network = Network(Design(size, not paper, with_offset), seed)
         self.learner = Learner(self.network, threads)
-        self.answers = Answers(source, size, on_plane=paper)
+        self.answers: Answers | Measured
+        if isinstance(source, Queries):
+            self.answers = Measured(source, size, paper)
+        else:
+            self.answers = Answers(source, size, on_plane=paper)
         self.trained = {name: Trained(each, np.zeros_like(each)) for name, each in self.network.parameters().items()}
-        self.held = Held(self.answers, size, _JUDGED, _JUDGED_SAMPLES)
+        self.held = Held(self.answers, size, _JUDGED, _JUDGED_SAMPLES, paper)
         self.batches: dict[int, tuple[NDArray, NDArray]] = {}
-        texels = size[0] * size[1]
-        self.kept = max(1, round(_PAPER_QUERIES * texels / len(batch_of(size, np.random.default_rng(0)))))
+        texels, self.count = size[0] * size[1], len(batch_of(size, np.random.default_rng(0)))
+        self.kept = max(1, round(_PAPER_QUERIES * texels / self.count))
         if not paper:
             self.kept = max(_LEARNED, min(_KEPT, (256 << 20) // (4 * texels * 4 * (QUERY + 3))))
         self.step, self.done = 0, 0.0
@@ -148,6 +163,8 @@ class NeuralTask:
 
     def batch(self, number: int) -> tuple[NDArray, NDArray]:
         """Queries and targets of a batch, made by its number alone; the last few are kept."""
+        if isinstance(self.answers, Measured):
+            return self.answers.batch(self.count, np.random.default_rng([self.seed, 2, number]))
         if number not in self.batches:
             queries = batch_of(self.network.design.size, np.random.default_rng([self.seed, 2, number]))
             samples = _PAPER_SAMPLES if self.paper else 1

@@ -69,7 +69,7 @@ class BrushStrokes(msgspec.Struct, forbid_unknown_fields=True):
         """Height across a stroke at _FINE samples a bristle, variance 1: noise about as wide as bristles are."""
         count = max(round(2.0 * half / bristle * _FINE), 2 * _FINE)
         frequency = np.fft.rfftfreq(count, 1.0 / _FINE)
-        transform = np.fft.rfft(rng.standard_normal(count)) * np.exp(-(((frequency - 1.0) / 0.35) ** 2))
+        transform = np.fft.rfft(rng.standard_normal(count)) * np.exp(-(((frequency - 1.0) / 0.6) ** 2))
         profile = np.fft.irfft(transform, count)
         return profile / max(float(profile.std()), 1e-12)
 

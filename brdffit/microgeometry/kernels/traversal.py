@@ -48,9 +48,9 @@ def corners_of(height, row, column):
 
 
 @inline
-def gradient_in_cell(h00, h10, h01, h11, x, y):
-    """(by column, by row) of the triangle at (x, y)."""
-    if x >= y:
+def gradient_of(h00, h10, h01, h11, side):
+    """(by column, by row) of a cell's triangle: that where x - y = ``side`` is at least 0, or the other."""
+    if side >= 0.0:
         return h10 - h00, h11 - h10
     return h11 - h01, h01 - h00
 
@@ -61,7 +61,7 @@ def surface_at(height, x, y):
     columns, rows = height.shape[1], height.shape[0]
     i, j = math.floor(x), math.floor(y)
     h00, h10, h01, h11 = corners_of(height, np.int64(j) % rows, np.int64(i) % columns)
-    across, down = gradient_in_cell(h00, h10, h01, h11, x - i, y - j)
+    across, down = gradient_of(h00, h10, h01, h11, (x - i) - (y - j))
     return height_in_cell(h00, h10, h01, h11, x - i, y - j), across, down
 
 
@@ -69,6 +69,19 @@ def surface_at(height, x, y):
 def in_unit(x):
     """x, held in [0, 1]."""
     return min(max(x, 0.0), 1.0)
+
+
+@inline
+def next_cell(cell, low, high, forward, count, origin, level):
+    """Over a border of the block ``low`` to ``high`` along one axis of ``count`` cells: the cell behind it, where its
+    tile begins, and whether the block of the next level is left too."""
+    after = high if forward else low - 1
+    leaves = (cell >> level >> 1) != (after >> level >> 1)
+    if after == count:
+        return np.int64(0), origin + count, leaves
+    if after < 0:
+        return np.int64(count - 1), origin - count, leaves
+    return after, origin, leaves
 
 
 @inline
@@ -139,8 +152,7 @@ def meet(height, maxima, levels, x, y, z, d_x, d_y, d_z):
                 above_mid = z + t_mid * d_z - (h00 + m * (h11 - h00))
                 if above_mid < 0.0:
                     t = t + (t_mid - t) * (above / (above - above_mid))
-                    across = h10 - h00 if side > 0.0 else h11 - h01
-                    down = h11 - h10 if side > 0.0 else h01 - h00
+                    across, down = gradient_of(h00, h10, h01, h11, side)
                     return t, x + t * d_x, y + t * d_y, across, down
                 t_from, above, side = t_mid, above_mid, other
             above_out = z_out - height_in_cell(h00, h10, h01, h11, c, d)
@@ -148,35 +160,18 @@ def meet(height, maxima, levels, x, y, z, d_x, d_y, d_z):
                 if side == 0.0:
                     side = other
                 t = t_from + (t_out - t_from) * (above / (above - above_out))
-                across = h10 - h00 if side >= 0.0 else h11 - h01
-                down = h11 - h10 if side >= 0.0 else h01 - h00
+                across, down = gradient_of(h00, h10, h01, h11, side)
                 return t, x + t * d_x, y + t * d_y, across, down
         t = t_out
         if t >= limit:
             break
         if t_x <= t_y:
-            before = i >> level
-            i = right if d_x > 0.0 else left - 1
             j = min(max(np.int64(math.floor(y + t * d_y - origin_y)), upper), lower - 1)
-            after = i >> level
-            if i == columns:
-                i = 0
-                origin_x += columns
-            elif i < 0:
-                i = columns - 1
-                origin_x -= columns
+            i, origin_x, leaves = next_cell(i, left, right, d_x > 0.0, columns, origin_x, level)
         else:
-            before = j >> level
-            j = lower if d_y > 0.0 else upper - 1
             i = min(max(np.int64(math.floor(x + t * d_x - origin_x)), left), right - 1)
-            after = j >> level
-            if j == rows:
-                j = 0
-                origin_y += rows
-            elif j < 0:
-                j = rows - 1
-                origin_y -= rows
-        if level < last and (before >> 1) != (after >> 1):
+            j, origin_y, leaves = next_cell(j, upper, lower, d_y > 0.0, rows, origin_y, level)
+        if level < last and leaves:
             level += 1
     return -1.0, 0.0, 0.0, 0.0, 0.0
 
