@@ -104,4 +104,4 @@ lint: install
 	$(BIN)/mypy
 
 clean:
-	rm -rf $(VENV) build *.egg-info data/sets out bench report tradeoff .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	rm -rf $(VENV) build *.egg-info data/sets data/large out bench report tradeoff .pytest_cache .hypothesis .mypy_cache .ruff_cache

@@ -41,8 +41,9 @@ from brdffit.render.preview import make_preview
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.rows import LargeSet, open_large
 
-#: Peak memory of a band's texel and of a texel of level K, in bytes; a test measures that they are enough.
-BYTES_PER_TEXEL, BYTES_PER_REDUCED_TEXEL = 320, 300
+#: Peak memory of a texel of a band, of level K, and of the part that is shown: as it is kept while bands are baked, and
+#: when it is drawn; in bytes. A test measures that they are enough.
+BYTES_PER_TEXEL, BYTES_PER_REDUCED_TEXEL, BYTES_KEPT, BYTES_SHOWN = 320, 300, 60, 420
 #: Side of the part that the picture shows, and the levels that it shows beyond K.
 _SHOWN, _SHOWN_LEVELS = 1024, (0, 1, 3)
 
@@ -66,6 +67,7 @@ def reduce_set(large: LargeSet, method: Method, options: BakeOptions, progress: 
     only = {} if getattr(options, "reach", None) else {"reach": (level, level)}
     asked = with_options(options, {"levels": level + 1, "keep_level_0": False} | only)
     bands: list[dict[str, NDArray]] = []
+    shown: list[dict[str, NDArray]] = []
     failed = poor = done = 0
     total = math.prod(large.size)
     for first, last in large.bands:
@@ -85,21 +87,24 @@ def reduce_set(large: LargeSet, method: Method, options: BakeOptions, progress: 
         found = baked.lobes[level]
         cut = slice(before >> level, (before >> level) + last - first)
         bands.append({name: array[cut] for name, array in found.svbrdf.arrays().items() if name != "height"})
+        side, above = min(_SHOWN, *large.texture_set.size), first << level
+        if above < side:
+            seen = slice(before, before + min(last << level, side) - above)
+            shown.append({name: array[seen, :side].copy() for name, array in base.arrays().items()})
         if found.status is not None:
             failed += int((found.status[cut] == FALLBACK).sum())
             poor += int((found.status[cut] == POOR).sum())
         done += (last - first) * large.size[1]
-    lobes = found.svbrdf.replace(
-        **{name: np.concatenate([band[name] for band in bands]) for name in bands[0]}, wrap=base.wrap, height=None
-    )
+    lobes = found.svbrdf.replace(**_joined(bands), wrap=base.wrap, height=None)
     notes = [f"The search failed for {failed} texels; they hold their closed-form start."] if failed else []
     notes += (
         [f"No single lobe stands for {poor} texels: more than half of what they reflect is missed."] if poor else []
     )
-    side = min(_SHOWN, *large.texture_set.size)
-    base, before = large.lobes(0, side)
-    part = {name: array[before : before + side, :side] for name, array in base.arrays().items()}
-    return Reduced(lobes, notes, base.replace(**part))
+    return Reduced(lobes, notes, base.replace(**_joined(shown)))
+
+
+def _joined(bands: list[dict[str, NDArray]]) -> dict[str, NDArray]:
+    return {name: np.concatenate([band[name] for band in bands]) for name in bands[0]}
 
 
 def bake_levels_from(
@@ -163,7 +168,8 @@ def predicted_memory(large: LargeSet) -> int:
     """Bytes that a bake takes at most, beyond what the program itself does."""
     band = large.rows_of_band * large.texture_set.size[1]
     shown = min(_SHOWN, *large.texture_set.size) ** 2
-    return BYTES_PER_TEXEL * max(band, shown) + BYTES_PER_REDUCED_TEXEL * math.prod(large.size)
+    peak = max(BYTES_PER_TEXEL * band + BYTES_KEPT * shown, BYTES_SHOWN * shown)
+    return peak + BYTES_PER_REDUCED_TEXEL * math.prod(large.size)
 
 
 def _check_memory(large: LargeSet, phases: Phases) -> None:
