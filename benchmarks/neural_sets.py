@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 import click
 
-from brdffit.learned.training import train
+from brdffit.nets.training import train
 from brdffit.neural.material import read_material
 from brdffit.neural.questions import Answers
 from brdffit.neural.sheet import draw_sheet

@@ -11,9 +11,9 @@ from brdffit.appearance import Appearance, Lookups
 from brdffit.cli import main
 from brdffit.errors import InputError
 from brdffit.methods import get_method, method_names
-from brdffit.nets.training import checkpoint_path, train
 from brdffit.microgeometry.queries import Queries, read_queries, write_queries
 from brdffit.microgeometry.tracer import Microgeometry
+from brdffit.nets.training import checkpoint_path, train
 from brdffit.nets.weights import read_weights, write_weights
 from brdffit.neural.material import read_material
 from brdffit.neural.measured import Measured
