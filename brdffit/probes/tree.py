@@ -13,8 +13,10 @@ from brdffit.probes.kernels.tree import NODE_FIELDS, filter_by_tree
 from brdffit.probes.lobe import lobe, lobe_integral
 from brdffit.probes.parallel import over_rows
 
-#: The mean error is at most about this times sqrt(tau) (five environments: 0.006 to 0.027); the bounds are far above.
-_ERROR_OF_TAU = 0.035
+#: The mean error is less than this times sqrt(tau) (five environments: 0.006 to 0.027); the bounds are far above.
+_ERROR_OF_TAU = 0.05
+#: Largest threshold: above it single texels of narrow lobes err by a tenth, which shows as a pattern.
+_LARGEST_TAU = 0.04
 #: tau of the first pass, which only finds out how bright the result is.
 _COARSE_TAU = 0.1
 #: alpha, in widths of a texel of the source, from which the sum of K over texels is its integral: in the plane K's
@@ -26,7 +28,7 @@ _WINDOW = 10.0
 
 def tau_for(tolerance: float) -> float:
     """The threshold of a node for a wanted mean relative error."""
-    return min((tolerance / _ERROR_OF_TAU) ** 2, _COARSE_TAU)
+    return min((tolerance / _ERROR_OF_TAU) ** 2, _LARGEST_TAU)
 
 
 class Tree:

@@ -5,8 +5,9 @@ that holds all of its corners, and two unit centroids of directions, each with t
 weighted by solid angle, one by solid angle times radiance (the sum of its channels). About the first the node's mean of
 K is, to second order, k = K(c) + R2/4 Laplacian K, where on the sphere Laplacian K = (1 - c^2) K'' - 2 c K'. The same
 about the second is q, the mean of K over its light: sum(A_i K_i L_i) is taken as A q L. The first order of the
-covariance of K and L is in q, wherever in the node the light is; of one bright texel q is K itself. The bound does not
-make use of that: it takes what is lost as the whole covariance, at most A (Kmax - Kmin)/2 sd, and the error e of k as
+covariance of K and L is in q, wherever in the node the light is; of one bright texel q is K itself. Where the node is
+wider than the lobe q can be wrong by more than the covariance, and is held to its bound about k. The test does not
+make use of q: it takes what is lost as the whole covariance, at most A (Kmax - Kmin)/2 sd, and the error e of k as
 half of what the correction adds. The error of q is e times the ratio s of the two R2.
 
 The sum of A k misses the integral I of K, which is known, by a sum of errors A e whose signs agree (K is convex but
@@ -123,14 +124,21 @@ def filter_by_tree(
                 lr, lg, lb = nodes[t, 8] - er, nodes[t, 9] - eg, nodes[t, 10] - eb
                 apart = math.sqrt(lr * lr + lg * lg + lb * lb)
                 if area * (half * spread * nodes[t, 6] + wrong * apart) < limit:
-                    total += area * min(max(value + correction, zero), largest)
+                    mean = min(max(value + correction, zero), largest)
+                    total += area * mean
                     dx, dy, dz = nodes[t, 11] - nx, nodes[t, 12] - ny, nodes[t, 13] - nz
                     value, correction = lobe_and_correction(
                         half * (dx * dx + dy * dy + dz * dz), square, m, nodes[t, 14]
                     )
                     if farthest <= zero:
                         correction = zero
-                    weight = area * min(max(value + correction, zero), largest)
+                    # No farther from the node's mean than the bound of the covariance allows.
+                    light = math.sqrt(
+                        nodes[t, 8] * nodes[t, 8] + nodes[t, 9] * nodes[t, 9] + nodes[t, 10] * nodes[t, 10]
+                    )
+                    most = half * spread * nodes[t, 6] / (light + np.float32(1e-30))
+                    value = min(max(value + correction, zero), largest)
+                    weight = area * min(max(value, mean - most), mean + most)
                     red += weight * nodes[t, 8]
                     green += weight * nodes[t, 9]
                     blue += weight * nodes[t, 10]
