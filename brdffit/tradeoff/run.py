@@ -111,7 +111,8 @@ class _Tried:
 
 def _bake(way: Way, svbrdf: Svbrdf, texels: Texels, size: Size) -> _Tried:
     """A closed form is baked whole: it costs by the image, not by the texel."""
-    method, options = get_method(way.method), FitOptions(lights="point", levels=len(texels))
+    method = get_method(way.method)
+    options = method.options(levels=len(texels))
     took = []
     for _ in range(size.repeats + 1):
         start = time.perf_counter()
