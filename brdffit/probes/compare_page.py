@@ -164,7 +164,7 @@ def _number(value: float | None) -> str:
 
 
 def _html_table(head: list[str], rows: list[list[str]]) -> str:
-    top = "".join(f"<th>{escape(each)}</th>" for each in head)
+    top = "".join(f"<th>{escape(each)}</th>".replace("_", "_<wbr>") for each in head)
     body = "\n".join("<tr>" + "".join(f"<td>{escape(each)}</td>" for each in row) + "</tr>" for row in rows)
     return f'<div class="scroll"><table><tr>{top}</tr>\n{body}</table></div>'
 
@@ -175,7 +175,7 @@ _PAGE = """<!DOCTYPE html>
 body { font: 15px/1.5 sans-serif; max-width: 76em; margin: 2em auto; padding: 0 1em; color: #222; background: #fff }
 .scroll { overflow-x: auto }
 table { border-collapse: collapse; margin: 1em 0; font-size: 13px; font-variant-numeric: tabular-nums }
-th { overflow-wrap: anywhere; vertical-align: bottom }
+th { vertical-align: bottom }
 th, td { padding: .2em .5em; border-bottom: 1px solid #ddd; text-align: right }
 th:first-child, td:first-child { text-align: left }
 img { max-width: 100% }
