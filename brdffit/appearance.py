@@ -3,7 +3,7 @@
 An appearance says what a pixel of a baked material reflects, whatever it is made of: a pyramid of lobes, two lobes, a
 distribution of normals, a network. The renderer reads it once for each pixel (``look_up``) and then asks for every
 light. A ``LobePyramid`` is drawn by compiled loops, anything else by one path in numpy, so that a new kind of result
-needs these four functions and nothing in the renderer.
+needs its size and four functions, and no change of the renderer.
 
 A truth is what pictures are compared with: an ``Svbrdf`` at full resolution, or anything that knows what one of its
 points reflects.
@@ -50,7 +50,7 @@ class Appearance(Protocol):
     """What a material looks like at any distance. All directions are unit vectors in tangent space.
 
     ``texels`` is whatever ``look_up`` returns; the renderer hands it back as it is. What depends on the view alone (a
-    neural offset, say) belongs into ``look_up``.
+    neural offset, say) belongs in ``look_up``.
     """
 
     @property
@@ -65,8 +65,8 @@ class Appearance(Protocol):
     def evaluate(self, texels: Any, view: NDArray, light: NDArray) -> NDArray:
         """(n, 3): the BRDF times the cosine of the light, 0 where nothing is reflected.
 
-        ``view`` and ``light`` are (n, 3), one pair a pixel. It is linear radiance under a light whose irradiance on a
-        surface that faces it is 1.
+        ``view`` and ``light`` are (n, 3), one pair a pixel. The value is the linear radiance under a light that gives a
+        surface facing it an irradiance of 1.
         """
         ...
 
@@ -96,9 +96,9 @@ class Truth(Protocol):
         """(n, 3): the BRDF times the cosine at points of the surface, each under one pair of directions.
 
         Args:
-            position: (n, 2) float64, (column, row) in texels; the truth knows how it goes on beyond its border.
+            position: (n, 2) float64, (column, row) in texels, also beyond the border: the truth wraps or clamps them.
             view, light: (n, 3) unit vectors in tangent space.
-            seed: of whatever is random in it; its mean over seeds is what is meant, and two seeds are independent.
+            seed: of a random estimate: its mean over seeds is the value, and two seeds are independent.
         """
         ...
 
@@ -121,8 +121,8 @@ class LobePyramid:
     """MIP levels of one lobe a texel, interpolated as a renderer interpolates what the files store.
 
     Between texels and levels the normal (then brought to unit length), the roughness tensor in alpha^2 and linear
-    colours are interpolated, bilinearly and between the two nearest levels. Levels beyond those that there are are
-    clamped.
+    colours are interpolated: bilinearly in each of the two nearest levels, and linearly between them. The level is
+    clamped to those that exist.
 
     Attributes:
         levels: level 0 (as large as the base) and on, all of one lobe model.
@@ -146,7 +146,7 @@ class LobePyramid:
 
     @cached_property
     def images(self) -> list[NDArray]:
-        """(h, w, 12 or 13) float32 of each level, what is interpolated."""
+        """(h, w, 12 or 13) float32 of each level, as interpolated: normal, tensor, specular, diffuse, shape if any."""
         found = []
         for level in self.levels:
             arrays = [level.normal, tensor_from_log(level.log_roughness), level.specular, level.diffuse]
@@ -184,9 +184,9 @@ class LobePyramid:
 
 
 def trilinear(images: Sequence[NDArray], lookups: Lookups, base_size: tuple[int, int], wrap: str) -> NDArray:
-    """Values (n, C) float32 of MIP levels (h, w, C) at some lookups, bilinear in the two levels nearest to the detail.
+    """Values (n, C) float32 of MIP levels (h, w, C): bilinear in the two levels nearest to the detail, linear between.
 
-    The detail is clamped to the levels that there are. ``wrap``: "tile" or "clamp".
+    The detail is clamped to the levels that exist. ``wrap``: "tile" or "clamp".
     """
     detail = np.clip(lookups.detail, 0.0, len(images) - 1.0)
     fine = np.minimum(detail.astype(np.int64), max(len(images) - 2, 0))

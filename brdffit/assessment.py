@@ -21,18 +21,18 @@ from brdffit.options import BakeOptions, LobeOptions
 from brdffit.render.preview import make_preview
 from brdffit.svbrdf import Svbrdf
 
-#: What the manifest reports is measured on so many random texels of a level (all, where it has fewer), with so many
-#: nodes, and samples of their footprints along an axis, at least and at most; a level's texels share out as many
-#: samples as 64 texels with 48 a side have, so that the last levels, where few texels hold much, get more of them.
+#: How the figures of the manifest are measured: random texels of a level (all, where it has fewer), nodes of the rule,
+#: and samples of a footprint along an axis. These are at least the third number; a level's texels share the fourth,
+#: which gives 64 texels 48 along an axis, and the last levels, where few texels hold much, more.
 _REPORT_TEXELS, _REPORT_NODES, _REPORT_SAMPLES, _SHARED_SAMPLES = 64, 512, 16, 64 * 48**2
 
 
 def assess(
     material: Material, baked: Baked, texels: int = _REPORT_TEXELS, only: Collection[int] | None = None
 ) -> list[dict[str, Any]]:
-    """SNR in dB and energy kept of each level, measured on random texels against a dense rule.
+    """One dictionary a level: ``snr_db``, ``energy_kept``, ``measured_texels``, at random texels against a dense rule.
 
-    Nothing of levels that no pixel reads or that are not among ``only``, and nothing at all of a result without lobes.
+    It is empty for levels that no pixel reads or that are not among ``only``, and for a result without lobes.
     """
     if baked.lobes is None:
         return [{} for _ in baked.sizes]
@@ -72,7 +72,7 @@ def draw_preview(material: Material, baked: Baked, title: str) -> NDArray:
 
 
 def averaged_levels(material: Material, options: BakeOptions) -> Pyramid:
-    """Averaged channels under the same options, as far as averaging knows them."""
+    """Averaged channels under the same options, as far as the method ``naive`` has them."""
     naive = get_method("naive")
     averaged = naive.bake(material, with_options(naive.options(), dataclasses.asdict(options))).lobes
     assert averaged is not None

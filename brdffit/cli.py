@@ -117,7 +117,7 @@ def bake(
             show_picture(report.folder / "preview.png")
 
 
-#: Options of a bake that stand for every set of a library.
+#: Options of ``bake`` that ``library`` takes too, for all of its sets.
 _OF_BAKES = ("preset", "quality", "method", "bits", "assigned")
 _SHARED = [each for each in bake.params if each.name in _OF_BAKES]
 _SHARED += [each for each in bake.params if each.name in READING_OPTIONS and each.name != "roles"]

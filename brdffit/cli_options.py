@@ -23,7 +23,7 @@ MOVED = {
 
 
 class Command(click.Command):
-    """A command whose flags of former versions say where they went."""
+    """A command that answers a flag of a former version with the ``--set`` that replaces it."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         try:
@@ -114,12 +114,12 @@ def reading_options(command: Callable) -> Callable:
 
 
 def choice(*names: str) -> dict[str, Any]:
-    """An option whose default, shown, is that of BakeOptions or of the preset: it is passed on only if given."""
+    """A choice that is passed on only if given; its ``show_default`` names the default that holds otherwise."""
     return {"type": click.Choice(names)}
 
 
 def refuse_beside_scene(context: click.Context, allowed: Sequence[str]) -> None:
-    """Beside --scene only what no plan decides may be given."""
+    """Refuse, beside --scene, every option that is not ``allowed``, since the plan decides it (click.UsageError)."""
     for parameter in context.command.params:
         name = parameter.name or ""
         if name not in allowed and context.get_parameter_source(name) == click.core.ParameterSource.COMMANDLINE:

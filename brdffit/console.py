@@ -38,14 +38,14 @@ _PHASES = {
     "finishing": "measuring, drawing and writing",
 }
 
-#: Columns where no terminal sets them: file names stay whole.
+#: Width in columns where no terminal sets one: wide enough that file names are not broken.
 _PIPED_WIDTH = 200
 #: Columns of a picture in the terminal.
 _MOST_COLUMNS = 100
 
 
 class BakeDisplay:
-    """What a bake is doing, on standard error: a bar with level and texels a second, and compiling told apart."""
+    """The progress of a bake, on standard error: a bar with level and texels a second; compiling is shown apart."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True, highlight=False)
@@ -64,7 +64,7 @@ class BakeDisplay:
         self._bars.stop()
 
     def phase(self, name: str) -> None:
-        """A phase begins: "reading", "compiling", "fitting" or "finishing"."""
+        """A phase begins; names without an entry in ``_PHASES`` are shown as they stand."""
         now = time.perf_counter()
         if self._phase == "compiling":
             self._console.print(f"Compiled in {now - self._phase_began:.1f} s.")
@@ -76,7 +76,7 @@ class BakeDisplay:
     def __call__(self, level: int, done: int, total: int) -> None:
         """``done`` of ``total`` texels of a level are finished."""
         if level != self._level:
-            # The first report of a level comes when some of it is done: it began with the last report before.
+            # A level's first report comes when part of it is done, so it is taken to have begun at the report before.
             self._level, self._level_began = level, self._last_report
             self._bars.reset(self._task, total=total, description=f"level {level}")
         self._last_report = time.perf_counter()
@@ -85,7 +85,7 @@ class BakeDisplay:
 
 
 def print_report(report: BakeReport) -> None:
-    """A compact table of the levels, what is to be said of them, and where they are."""
+    """Print a table of the levels, the notes, the seconds of each phase, and the folder."""
     table = _table("level", "size", "SNR dB", "energy kept", "fallbacks", "texels/s", justify="right")
     for index, ((height, width), level) in enumerate(zip(report.baked.sizes, report.baked.levels, strict=True)):
         status, seconds = (level.status, level.seconds) if level else (None, 0.0)
@@ -109,7 +109,7 @@ def print_report(report: BakeReport) -> None:
 
 
 def print_options(method: Method, plain: bool = False) -> None:
-    """The options of a method: how they are called, their values, their defaults, and a line on each."""
+    """Print the options of a method: names, values, defaults, and a line on each; ``plain`` prints the names alone."""
     console = _console()
     options = described(method.options).values()
     if plain:
@@ -126,7 +126,7 @@ def print_options(method: Method, plain: bool = False) -> None:
 
 
 def print_inspection(inspection: Inspection) -> None:
-    """Maps with their roles and decoding, conventions, statistics, and what looks wrong."""
+    """Print the maps with their roles and decoding, conventions, statistics, and what looks wrong."""
     console = _console()
     height, width = inspection.size
     console.print(
@@ -156,7 +156,7 @@ def print_inspection(inspection: Inspection) -> None:
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """Hard cases with what they mean, what the fit makes of the worst texels and of each level, and what to do."""
+    """Print the hard cases and their meaning, the fit of the worst texels and of each level, and advice."""
     console = _console()
     console.print(f"{diagnosis.name}: {diagnosis.width}x{diagnosis.height}, quality {diagnosis.options['quality']}")
     if diagnosis.findings:
@@ -206,12 +206,12 @@ def show_picture(path: Path) -> None:
 
 
 def _half_blocks(path: Path, columns: int) -> Iterator[Segment]:
-    """A picture as upper half blocks: the ink is one pixel, the ground behind it the one below."""
+    """A picture as upper half blocks: the foreground colour is one pixel, the background the one below it."""
     pixels = read_image(path).pixels[..., :3]
     height, width = pixels.shape[:2]
     columns = min(columns, width)
     rows = max(2, columns * height // width // 2 * 2)
-    # Means of the pixels that fall together.
+    # A cell shows the mean of the pixels that fall into it.
     sums = np.add.reduceat(pixels, np.arange(rows) * height // rows, axis=0)
     sums = np.add.reduceat(sums, np.arange(columns) * width // columns, axis=1)
     counts = np.diff(np.arange(rows + 1) * height // rows)[:, None] * np.diff(np.arange(columns + 1) * width // columns)

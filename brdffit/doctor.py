@@ -34,27 +34,30 @@ from brdffit.textures import encoding
 from brdffit.textures.relief import moved_by_noise
 from brdffit.textures.texture_set import TextureSet
 
-#: Slope (76 degrees) from which a normal is steep; share above the horizon's own z that still counts as lying on it.
+#: Slope from which a normal is steep (76 degrees); multiple of the least z up to which it lies on the horizon.
 STEEP_SLOPE, ON_THE_HORIZON = 4.0, 1.01
-#: Lobe widths that neighbours turn by where a highlight falls apart, and ratio of alphas where sharp meets wide.
+#: Turn between neighbouring normals, in lobe widths, from which a highlight falls apart; ratio of the alphas of a
+#: footprint from which sharp lobes lie beside wide ones.
 NEEDLE_WIDTHS, SHARP_TO_WIDE = 6.0, 5.0
-#: Share of a footprint's specular that one texel holds; lobe widths between the mean normals of red and blue.
+#: Share of a footprint's specular from which one texel dominates it; distance between mean normals, in lobe widths,
+#: from which colour or brightness goes with the normal.
 BRIGHT_SHARE, COLOUR_WIDTHS = 0.5, 0.5
-#: Roughness that counts as one, specular as none, length as short, spread (in code steps) as dither.
+#: Perceptual roughness that counts as one, sum of specular RGB as none, length of a stored normal as short, and spread
+#: of a normal map (in code steps) as dither.
 ROUGH, BLACK, SHORT, DITHER = 0.98, 1e-4, 0.95, 4.0
-#: Lobe widths that the noise of a normal map's codes turns a normal by where it is worth a sentence.
+#: Turn of a normal by the code noise of its map, in lobe widths, from which it is reported.
 CODE_WIDTHS = 0.25
-#: A case rarer than this is not worth a sentence.
+#: Share of the texels below which a case is not reported.
 LEAST_SHARE = 1e-4
 #: Level of the footprints of 2x2 and of 8x8 texels that are searched.
 _NEAR, _WIDE = 1, 3
 _WORST = 12
-# Random texels of a level: footprints of deep levels hold a thousand times the samples.
+# Random texels of a level, and of levels from _DEEP on, whose footprints need far more samples.
 _TEXELS, _DEEP_TEXELS, _DEEP = 128, 24, 4
 _NODES, _SAMPLES = 1024, (16, 128)
 #: The fit is called mistaken where the measured error is this many times its own figure, and this much above it.
 MISTAKEN_TIMES, MISTAKEN_BY = 2.0, 0.05
-#: Share of the energy whose loss is worth a sentence.
+#: Loss of specular energy from which it is reported.
 ENERGY_LOST = 0.1
 
 
@@ -135,7 +138,7 @@ def diagnose(
         manifest: manifest.json of a bake of it: its options and statuses are taken instead of a sample's.
         reading: arguments of ``read_texture_set``.
         phase: told when a phase begins: "reading", "compiling", "looking".
-        options: fields of ``FitOptions``, where no manifest has them.
+        options: fields of ``FitOptions``; they win over the manifest's.
 
     Raises:
         InputError: for a set or a manifest that cannot be read.
@@ -257,7 +260,7 @@ def _base_texels(svbrdf: Svbrdf, options: FitOptions) -> list[Finding]:
     horizon = normal[:, :, 2] <= ON_THE_HORIZON * encoding.MIN_NORMAL_Z
     roughness = np.sqrt(np.sqrt(minor))
     floor = options.min_roughness
-    # Where many are equally bad, the steepest surroundings are worst: a mirror on the flat is no trouble.
+    # Among texels that are equally bad, those whose neighbours turn most rank worst: a flat mirror is no trouble.
     turn = _turn(normal)
     return [
         *_found("normals on the horizon", 0, np.where(horizon, 1.0 + turn, 0.0), 0.5,
@@ -276,7 +279,7 @@ def _base_texels(svbrdf: Svbrdf, options: FitOptions) -> list[Finding]:
 
 
 def _turn(normal: NDArray) -> NDArray:
-    """(H, W) how far the normal turns to its right and lower neighbours, as a chord; the border counts as flat."""
+    """(H, W): the chords from a normal to those of its right and lower neighbours, added; none beyond the border."""
     turn = np.zeros(normal.shape[:2], np.float32)
     for axis in (0, 1):
         if normal.shape[axis] > 1:
@@ -286,7 +289,7 @@ def _turn(normal: NDArray) -> NDArray:
 
 
 def _blocks(image: NDArray, side: int) -> NDArray:
-    """(h, w, side * side, C) of an image (H, W, C), what does not fill a block left out."""
+    """(h, w, side * side, C): the texels of each block of an image (H, W, C); a remainder at the border is left out."""
     height, width = (extent // side for extent in image.shape[:2])
     blocks = image[: height * side, : width * side].reshape(height, side, width, side, image.shape[2])
     return blocks.transpose(0, 2, 1, 3, 4).reshape(height, width, side * side, image.shape[2])
@@ -310,7 +313,7 @@ def _footprints(svbrdf: Svbrdf) -> list[Finding]:
     energy = specular.sum(axis=3)
     total = np.maximum(energy.sum(axis=2), 1e-12)
     lit = energy.sum(axis=2) > 3.0 * BLACK
-    # Sharp lobes that are one texel in 64 or more: the second of each end, so that a lone speck does not count.
+    # The second narrowest and the second widest of 64 texels, so that a lone speck does not count.
     ordered = np.sort(alphas, axis=2)
     found += _found("sharp lobes beside wide ones", _WIDE, ordered[:, :, -2] / ordered[:, :, 1], SHARP_TO_WIDE,
                     "Glossy and rough texels under one footprint: the fit follows the sharp ones, whose peak is high, "

@@ -34,7 +34,7 @@ GAUSSIAN_SIGMA = 0.5
 #: below 1e-12 for the Gaussian, whose pieces are never wider than a pixel.
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(8)
 
-#: Bytes of a block of rows in work: a few of them fit a core's cache.
+#: Bytes of the block of rows that is filtered at a time: a few blocks fit a core's cache.
 _BLOCK_BYTES = 1 << 19
 
 #: Beyond this many taps an axis is summed in double precision: n terms in single lose about n * 6e-8.
@@ -152,7 +152,7 @@ def filter_channels(image: NDArray, size: tuple[int, int], pixel_filter: PixelFi
 def filter_texels(
     image: NDArray, size: tuple[int, int], pixel_filter: PixelFilter, wrap: str, columns: NDArray, rows: NDArray
 ) -> NDArray:
-    """Texels (columns[i], rows[i]) of ``filter_channels`` alone, (n, C) float32; their number tells the cost."""
+    """Texels (columns[i], rows[i]) of ``filter_channels`` alone, (n, C) float32; the cost grows with their number."""
     down = axis_matrix(pixel_filter, image.shape[0], size[0], wrap)
     across = axis_matrix(pixel_filter, image.shape[1], size[1], wrap)
     out = np.empty((len(columns), image.shape[2]), np.float32)

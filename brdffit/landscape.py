@@ -1,9 +1,9 @@
 """The error landscape of one texel (Baker): error over roughness and normal, and the path that the optimiser took.
 
 The path is that of the fit itself: its compiled search is run from the same start for one step, for two, and so on.
-The landscape is the plane through the search's end along which roughness changes as a whole and the normal leans
-towards the start; the three other parameters are held at their values at the end, so that the end of the path lies on
-the surface and its beginning is a projection.
+The landscape is drawn over a plane through the end of the search: one axis scales the roughness, the other leans the
+normal towards the start. All other parameters keep their values at the end of the search, so that the end of the path
+lies on the surface, and the points before it are projections.
 """
 
 from __future__ import annotations

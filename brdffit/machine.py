@@ -1,4 +1,4 @@
-"""What a run ran on: versions that its numbers depend on, and the machine that its seconds depend on."""
+"""The machine of a run, which its seconds depend on, and the versions, which its numbers depend on."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _versions() -> dict[str, str]:
 
 
 def machine() -> dict[str, Any]:
-    """System, processor, number of cores, the load of the last minute (None where it is not told), and versions."""
+    """System, processor, cores, the load of the last minute (None where the system does not tell it), and versions."""
     return {
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "processor": _processor(),
@@ -41,7 +41,7 @@ def machine() -> dict[str, Any]:
 
 
 def free_memory() -> int | None:
-    """Bytes of memory that can be had now, or None where that is not told."""
+    """Bytes of memory that are free now, or None where the system does not tell."""
     try:
         for line in Path("/proc/meminfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("MemAvailable:"):

@@ -68,10 +68,10 @@ class Level:
 
     Attributes:
         svbrdf: the level's own parameters.
-        status: (H, W) uint8, index into ``brdffit.fitting.status.STATUSES``; None for closed forms.
-        residual: (H, W) float32 relative squared error as the method itself saw it (with effects off, of what it then
-            saw); None for closed forms.
-        evaluations: (H, W) uint16 objective evaluations; None for closed forms.
+        status: (H, W) uint8, index into ``brdffit.fitting.status.STATUSES``; None where nothing is searched.
+        residual: (H, W) float32 relative squared error as the method itself measures it (where effects are switched
+            off, against the target without them); None where nothing is searched.
+        evaluations: (H, W) uint16 evaluations of the objective; None where nothing is searched.
         seconds: wall-clock seconds spent on this level.
     """
 
@@ -110,7 +110,7 @@ class Image(NamedTuple):
         name: of the file, without its ending.
         channels: their names.
         sizes: (height, width) of each level.
-        rows: gives rows of a level as (h, w, C) float32; made when they are written, so that little is held at a time.
+        rows: rows(level, slice) gives rows as (h, w, C) float32; they are made when written, so that little is held.
         unit: whether texels are unit vectors, and must be again after averaging.
     """
 
@@ -129,11 +129,11 @@ class Baked:
         method: its name.
         options: those of the bake.
         appearance: what the renderer asks, see ``brdffit.appearance``.
-        lobes: MIP levels of lobes, or None where the result is none; half-angle figures, roughness maps and engine
-            pictures are made of these alone.
+        lobes: MIP levels of lobes, or None where the result is not made of lobes; half-angle figures, roughness maps
+            and engine pictures need them.
         notes: sentences for the user.
         stored: pictures that hold a result without lobes.
-        worn: the glTF file that the material comes from, and its number there: whose geometry a GLB shows.
+        worn: the glTF file that the material comes from and the material's number in it; a GLB shows its geometry.
     """
 
     method: str
@@ -190,7 +190,7 @@ class Baked:
 
 
 def lobe_images(pyramid: Pyramid) -> list[Image]:
-    """Normal, roughness tensor in alpha^2, specular and diffuse colour; shape and opacity where there are such."""
+    """Images of normal, roughness tensor in alpha^2, specular and diffuse colour, and of shape and opacity if any."""
     levels = [level.svbrdf for level in pyramid.levels]
 
     sizes = [level.size for level in levels]
@@ -211,14 +211,14 @@ def lobe_images(pyramid: Pyramid) -> list[Image]:
 
 @runtime_checkable
 class Method(Protocol):
-    """A way to bake a material. ``options`` is its type of options: what is not a field of it is refused."""
+    """A way to bake a material. ``options`` is the dataclass of its options: what is not a field of it is refused."""
 
     name: str
     summary: str
     options: ClassVar[type[BakeOptions]]
 
     def prepare(self, material: Material, options: Any) -> None:
-        """Compile, load or train what the bake needs; this is no part of the seconds of the bake."""
+        """Compile, load or train what the bake needs; the seconds of the bake do not count this."""
         ...
 
     def bake(self, material: Material, options: Any, progress: Progress | None = None) -> Baked:
@@ -238,10 +238,10 @@ class LobeMethod:
     options: ClassVar[type[BakeOptions]] = LobeOptions
 
     def prepare(self, material: Material, options: Any) -> None:
-        """Nothing is to be prepared, unless a subclass says otherwise."""
+        """Do nothing; a subclass may compile or load here."""
 
     def trained(self, options: Any) -> str:
-        """A sentence on the training that its bakes stand on, told beside their time; empty where there was none."""
+        """A sentence on the training behind its bakes, shown beside their time; empty where there was none."""
         return ""
 
     def bake(self, material: Material, options: Any, progress: Progress | None = None) -> Baked:
@@ -253,7 +253,7 @@ class LobeMethod:
         return Baked.of_lobes(pyramid)
 
     def bake_lobes(self, svbrdf: Svbrdf, options: Any, progress: Progress | None = None) -> Pyramid:
-        """The levels of lobes; where ``svbrdf`` has opacity it is ``weighted``, and so are colours of levels."""
+        """Bake the levels; where ``svbrdf`` has opacity it is ``weighted``, as the levels' colours must be."""
         raise NotImplementedError
 
 
@@ -270,7 +270,7 @@ def _with_opacity(level: Svbrdf, base: Svbrdf, options: Any) -> Svbrdf:
     return level.replace(opacity=opacity, alpha=base.alpha, cutoff=base.cutoff)
 
 
-#: Methods that are taken only where they are named: they train for minutes.
+#: Methods that run only when they are named, since they train for minutes.
 BY_NAME = {"neural": "brdffit.neural.method:Neural"}
 
 
@@ -320,6 +320,6 @@ def one_of(kind: str, name: str, known: Sequence[str]) -> str:
 
 
 def with_options(options: BakeOptions, changes: Mapping[str, Any]) -> Any:
-    """Options with some changed, where their type has them."""
+    """A copy of ``options`` with some changed; changes that its type has no field for are left out."""
     names = {each.name for each in dataclasses.fields(options)}
     return dataclasses.replace(options, **{name: value for name, value in changes.items() if name in names})

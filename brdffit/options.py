@@ -2,7 +2,8 @@
 
 A method names its own type of options. What all methods share stands in ``BakeOptions``, what all that bake lobes
 share in ``LobeOptions``; a method with options of its own derives a type from one of them and gives it a ``group``, and
-its options are then called ``group.name`` (``fit.loss``) on the command line and in files. In Python the name will do.
+its options are then called ``group.name`` (``fit.loss``) on the command line and in files. In Python the name without
+its group is enough.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class OptionError(UnknownNameError):
 
 
 class Limits(NamedTuple):
-    """What numbers an option may have: ``least <= value <= most``, and ``above < value``; None sets no limit."""
+    """The numbers that an option may have: ``least <= value <= most`` and ``above < value``; None sets no limit."""
 
     least: float | None = None
     most: float | None = None
@@ -82,7 +83,7 @@ def _pixel_filters() -> Sequence[str]:
 class BakeOptions:
     """What every method understands; ``brdffit methods NAME`` prints each option with its values and its line."""
 
-    #: What stands before the names of a type's own options; "" for those that methods share.
+    #: Prefix of the names of a type's own options; "" for those that methods share.
     group: ClassVar[str] = ""
 
     pixel_filter: str = option("box", "pixel filter of each level's scale", names=_pixel_filters)
@@ -110,9 +111,13 @@ class Described(NamedTuple):
     """One option as a user sees it.
 
     Attributes:
-        name: of the field. full_name: with its group, as the command line and files have it.
-        kind: its type. default: its value unless told otherwise.
-        names: its values, where it is one of several names. limits: of a number. says: one line.
+        name: of the field.
+        full_name: with its group, as the command line and files have it.
+        kind: its type.
+        default: its value unless told otherwise.
+        names: its values, where it is one of several names.
+        limits: of a number.
+        says: one line for the user.
     """
 
     name: str
@@ -136,7 +141,7 @@ class Described(NamedTuple):
 
 
 def described(kind: type[BakeOptions]) -> dict[str, Described]:
-    """The options of a type by the name of their field, those that methods share first."""
+    """The options of a type by the name of their field; those that methods share come first."""
     return _described(typing.cast(Any, kind))
 
 
@@ -189,7 +194,7 @@ def known_options(kind: type[BakeOptions], given: Mapping[str, Any]) -> dict[str
 
 
 def refuse_unknown(kinds: Mapping[str, type[BakeOptions]], given: Mapping[str, Any]) -> None:
-    """See that each given option is one of at least one of several methods (their types by the methods' names).
+    """Refuse an option that none of several methods has; ``kinds`` holds their types of options by the methods' names.
 
     Raises:
         OptionError: for one that none of them has.

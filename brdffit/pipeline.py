@@ -32,18 +32,18 @@ from brdffit.textures.texture_set import TextureSet
 Source = str | os.PathLike[str] | TextureSet | Svbrdf | Material
 #: write(baked, manifest, picture): writes a result; manifest and picture are called when all else is written.
 Write = Callable[[Baked, Callable[[], dict[str, Any]], Callable[[], NDArray] | None], dict[str, Any]]
-#: annotate(baked, seconds of the fit): what more a manifest says, by its top-level parts.
+#: annotate(baked, seconds of the fit): further entries of a manifest, by its top-level parts.
 Annotate = Callable[[Baked, float], Mapping[str, Mapping[str, Any]]]
 
 
 class ProgressListener(Protocol):
-    """Who wants to know how far a bake is."""
+    """Receives the progress of a bake."""
 
     def phase(self, name: str) -> None:
-        """A phase begins: reading, compiling, fitting, finishing."""
+        """A phase begins: reading, compiling, fitting, finishing, or another that a command adds."""
 
     def __call__(self, level: int, done: int, total: int) -> None:
-        """So many texels of a level are done."""
+        """``done`` of ``total`` texels of a level are finished."""
 
 
 @dataclass
@@ -130,6 +130,7 @@ def bake(
     Raises:
         InputError: for a source that cannot be used.
         UnknownNameError: for an unknown name, or an option that the method does not have.
+        OutputError: for lobes that are not finite numbers.
     """
     reading, given = split_reading(options)
     chosen = get_method(method)
@@ -196,13 +197,16 @@ def bake_to_folder(
 
 
 def split_reading(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """How a folder is read, and the options of the method."""
+    """Split options into those that say how a set is read and those of the method."""
     reading = {name: value for name, value in options.items() if name in READING_OPTIONS}
     return reading, {name: value for name, value in options.items() if name not in reading}
 
 
 def bake_options(method: Method, preset: str | None, given: Mapping[str, Any]) -> Any:
-    """The options of a method as given; what a preset's pictures cannot store is fitted as they can.
+    """The options of a method as given, within what the preset's pictures can hold.
+
+    Where they hold no anisotropy or no scale of the lobe, the bake leaves it out too, unless it is asked for.
+
 
     Raises:
         OptionError: for an option that the method does not have, or a value that it cannot have.
@@ -218,7 +222,7 @@ def bake_options(method: Method, preset: str | None, given: Mapping[str, Any]) -
 
 
 def bound_sources(method: str, model: str | None = None) -> list[Path]:
-    """Source files of a method, and of a lobe model's kernels: those of a user's own may lie anywhere."""
+    """Source files of a method and of a lobe model's kernels, which may lie outside of the package."""
     bound: list[Any] = [type(get_method(method))]
     if model is not None:
         found = get_model(model)
@@ -309,7 +313,7 @@ def finish(
 
 
 def _in_background(work: Callable[[], None]) -> Future[None]:
-    """Run work in a thread of its own; an error of the caller is told without waiting for its end."""
+    """Run work in a thread of its own, without keeping an error of the caller waiting for its end."""
     pool = ThreadPoolExecutor(1)
     started = pool.submit(work)
     pool.shutdown(wait=False)
@@ -317,7 +321,7 @@ def _in_background(work: Callable[[], None]) -> Future[None]:
 
 
 def _without_normals(options: BakeOptions, without: Collection[str]) -> BakeOptions:
-    """Hold the normal of a set whose normals are not read: all of them are z."""
+    """Do not search for the normal of a set whose normals are not read: all of them are z."""
     return with_options(options, {"normal": "mean"}) if "normal" in without else options
 
 

@@ -41,8 +41,8 @@ from brdffit.render.preview import make_preview
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.rows import LargeSet, open_large
 
-#: Peak memory of a texel of a band, of level K, and of the part that is shown: as it is kept while bands are baked, and
-#: when it is drawn; in bytes. A test measures that they are enough.
+#: Peak memory in bytes a texel: of a band, of level K, of the shown part while bands are baked, and of it while it is
+#: drawn. A test measures that they are enough.
 BYTES_PER_TEXEL, BYTES_PER_REDUCED_TEXEL, BYTES_KEPT, BYTES_SHOWN = 320, 300, 60, 420
 #: Side of the part that the picture shows, and the levels that it shows beyond K.
 _SHOWN, _SHOWN_LEVELS = 1024, (0, 1, 3)
@@ -165,7 +165,7 @@ def bake_levels_from(
 
 
 def predicted_memory(large: LargeSet) -> int:
-    """Bytes that a bake takes at most, beyond what the program itself does."""
+    """Bytes that a bake takes at most, in addition to those of the program itself."""
     band = large.rows_of_band * large.texture_set.size[1]
     shown = min(_SHOWN, *large.texture_set.size) ** 2
     peak = max(BYTES_PER_TEXEL * band + BYTES_KEPT * shown, BYTES_SHOWN * shown)
@@ -173,7 +173,7 @@ def predicted_memory(large: LargeSet) -> int:
 
 
 def _check_memory(large: LargeSet, phases: Phases) -> None:
-    """Tell what memory is predicted, and refuse what there is not.
+    """Report the predicted memory, and refuse a bake that needs more than is free.
 
     Raises:
         InputError: with what is needed and what is free.
@@ -194,7 +194,7 @@ def _check_memory(large: LargeSet, phases: Phases) -> None:
 def _held_against(
     reduced: Reduced, baked: Baked, level: int, options: BakeOptions
 ) -> tuple[tuple[Pyramid, Pyramid], dict[str, float]]:
-    """The part of the picture by averaged maps and by the result, and how level K of both was measured on it."""
+    """The shown part by averaged maps and by the result, and the SNR in dB of level K of both on it."""
     material = Material(reduced.part)
     averaged = averaged_levels(material, with_options(options, {"levels": None, "keep_level_0": False}))
     assert baked.lobes is not None

@@ -2,7 +2,7 @@
 
 Inside the program there is one roughness: the tensor ``Sigma``, 2x2 symmetric positive definite, in
 units of alpha^2, in the tangent plane of the normal; it is stored as its matrix logarithm
-``[[a, c], [c, b]]`` in the order (a, b, c).  Everything else is a name that files and engines use:
+``[[a, c], [c, b]]`` in the order (a, b, c).  Files and engines use other parameters:
 
 - perceptual roughness ``r`` in [0, 1]: alpha = r^2 (glTF, Unreal, Filament, Godot, Unity's 1 - smoothness)
 - gloss ``g`` = 1 - r

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 WRAPS = ("tile", "clamp")
-#: What a texel without any surface weighs, over one that is all surface.
+#: Weight of a texel without any surface, relative to one that is fully covered.
 LEAST_WEIGHT = 1e-3
 
 
@@ -29,11 +29,11 @@ class Svbrdf:
         shape: (H, W) further parameter of the lobe, or None where the model has none.
         occlusion: (H, W) ambient occlusion in [0, 1], or None; carried along, averaged, never fitted.
         height: (H, W) height in texels (positive up), or None; read by the method that filters heights.
-        opacity: (H, W) share of each texel that there is surface, in [0, 1], or None where all is; it weighs every
-            other map (see ``weighted``), and is averaged itself.
-        alpha: what becomes of opacity in pictures: "mask" (tested against ``cutoff``), "blend", or "" where it only
-            says which texels nothing uses.
-        cutoff: opacity below which a mask is not there.
+        opacity: (H, W) share of each texel that the surface covers, in [0, 1], or None where it covers all; it weighs
+            every other map (see ``weighted``), and is itself averaged.
+        alpha: how engines use opacity: "mask" (tested against ``cutoff``), "blend", or "" where it only marks texels
+            that nothing uses.
+        cutoff: opacity below which a mask is cut out.
     """
 
     normal: NDArray
@@ -72,7 +72,7 @@ class Svbrdf:
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
     def without(self, roles: Collection[str]) -> Svbrdf:
-        """What it would be had the maps of these roles not been read: without "normal" all normals are z."""
+        """As if maps of these roles had not been read: without "normal", normals are z and there is no height."""
         if "normal" not in roles:
             return self
         flat = np.zeros_like(self.normal)
@@ -103,7 +103,7 @@ class Svbrdf:
         return self.replace(opacity=opacity, **colours)
 
     def over_black(self) -> Svbrdf:
-        """What is seen of it before a black ground: colours times opacity, and no opacity any more."""
+        """Composited over black: colours times opacity, and no opacity."""
         if self.opacity is None:
             return self
         colours = {name: getattr(self, name) * self.opacity[..., None] for name in ("specular", "diffuse")}
@@ -112,7 +112,7 @@ class Svbrdf:
     def averaged_scalars(self, average: Callable[[NDArray], NDArray]) -> tuple[NDArray | None, NDArray | None]:
         """Occlusion and opacity of a level, by a function that filters (H, W, C); of ``weighted`` maps.
 
-        Occlusion counts as much as there is surface.
+        Occlusion is weighted by opacity.
         """
         if self.opacity is None:
             return None if self.occlusion is None else average(self.occlusion[..., None])[..., 0], None

@@ -1,1 +1,1 @@
-"""The comparison: bake by every method, render, measure; records come out, nothing is drawn."""
+"""The comparison: bake by every method, render and measure; it makes records and pictures, ``report`` the page."""

@@ -1,4 +1,4 @@
-"""One texture set after another through every method, the reference and the metrics: the road to the records."""
+"""Compare all methods with the reference on one texture set after another, and collect the records."""
 
 from __future__ import annotations
 

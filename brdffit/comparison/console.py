@@ -106,7 +106,7 @@ def redraw(records: Path_, folder: Path_ | None = None) -> Written:
 
 
 def print_summary(written: Written) -> None:
-    """Every method over all views, then its SNR at near, mid and far; the first of each column marked by a star."""
+    """Print every method over all views, then its SNR at near, mid and far; a star marks the first of each column."""
     console = Console(highlight=False, markup=False, emoji=False)
     if not console.is_terminal:
         console.width = _PIPED_WIDTH
@@ -139,7 +139,7 @@ def print_summary(written: Written) -> None:
 
 
 def _overall_table(comparison: Comparison) -> Table:
-    """What an eye and a light meter say over all views, in how many of them a method is first, and its worst."""
+    """Means of SNR, FLIP and SSIM over all views, in how many of them a method is first, and its worst view."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("method\n")
     for title in ("mean\nSNR", "\nFLIP", "\nSSIM", "energy\nkept", "first in\nSNR", "\nFLIP", "\nSSIM", "of\nviews"):

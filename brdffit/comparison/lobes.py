@@ -45,7 +45,7 @@ _LEAST_EXTENT, _MOST_EXTENT = 0.015, 0.95
 
 @cache
 def model_of(name: str) -> Model:
-    """``get_model``, which reads the entry points of the whole installation, once for each name."""
+    """``get_model``, cached by name, since it reads the entry points of the whole installation."""
     return get_model(name)
 
 
@@ -60,8 +60,8 @@ def lobe_view(
 ) -> LobeView:
     """Apparent lobe of one texel (column, row) of a level and the lobes that methods put there.
 
-    Every lobe, the truth's too, is seen through a blur of one cell of the grid: base lobes narrower than a cell would
-    otherwise fall between its points.
+    Every lobe, the truth's too, is blurred by one cell of the grid: base lobes narrower than a cell would otherwise
+    fall between its points.
 
     Args:
         svbrdf: the base.
@@ -196,7 +196,7 @@ def _values(lobes: NDArray, model_name: str, x: NDArray, y: NDArray) -> NDArray:
     nodes[H_X : H_Z + 1] = np.stack([x, y, np.sqrt(np.maximum(height, 0.0))]).reshape(3, -1)
     table = np.zeros((len(lobes) + 1, LOBE_COLUMNS))
     table[:-1] = lobes
-    # The defensive lobe, of no weight.
+    # The table ends with the defensive lobe of the fit; its weight is 0 here.
     table[-1, 2] = table[-1, TENSOR] = table[-1, TENSOR + 1] = 1.0
     shapes, which = np.unique(table[:, SHAPE], return_inverse=True)
     constants = np.exp([model.log_normalisation(float(shape))[0] for shape in shapes])[which]

@@ -1,4 +1,4 @@
-"""Options of a comparison, and who listens to it."""
+"""Options of a comparison, and the protocol of its listener."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from brdffit.report.records import PROBE_LIGHTING
 #: Makes a truth of what a set holds.
 MakeTruth = Callable[[Material], Truth]
 SMALL_LIGHTS, LAMPS, ENVIRONMENT = LIGHTINGS = "small lights", "lamps", "environment"
-#: The environment as an engine has it: views of it stand beside those of the environment itself.
+#: The environment through an engine's filtered probe: its views stand beside those of the environment itself.
 THROUGH_PROBE = PROBE_LIGHTING
 
 
@@ -93,7 +93,7 @@ class CompareOptions:
 
     @property
     def shared(self) -> FitOptions:
-        """What the options say of that which all methods are measured by: pixel filter, density, reach, threads."""
+        """The options that all methods are measured by: pixel filter, density, reach, threads."""
         return make_options(FitOptions, known_options(FitOptions, self.options), "'bfgs'")
 
 
@@ -132,13 +132,13 @@ def variant(name: str, options: Mapping[str, Any]) -> tuple[Method, BakeOptions]
 
 
 class Listener(Protocol):
-    """Is told how far a comparison is."""
+    """Receives the progress of a comparison."""
 
     def phase(self, text: str) -> None:
         """A phase begins; ``text`` describes it."""
 
     def __call__(self, level: int, done: int, total: int) -> None:
-        """So many texels of a level are baked."""
+        """``done`` of ``total`` texels of a level are baked."""
 
 
 #: Pictures by path relative to the records: (h, w) or (h, w, 3) uint8.

@@ -1,4 +1,4 @@
-"""Pictures lit through a filtered probe, as engines light: what probe and split sum add to a material's error."""
+"""Pictures lit through a filtered probe, as engines do it: they show what probe and split sum add to the error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def picture_through_probe(
 ) -> NDArray:
     """Linear radiance (h, w, 3) float32 of a pyramid of lobes.
 
-    Engines have one isotropic GGX lobe a pixel: of an anisotropic one the geometric mean of its two roughnesses.
+    Engines use one isotropic GGX lobe a pixel: an anisotropic lobe counts with the geometric mean of its two alphas.
 
     Args:
         levels: MIP levels from level 0 down.

@@ -47,7 +47,7 @@ _OVERVIEW = 256
 
 
 def fit_of(methods: Sequence[str]) -> str:
-    """The method that the others are held against: ours, else the first."""
+    """The method that the others are compared with: ours, else the first."""
     return DEFAULT if DEFAULT in methods else methods[0]
 
 
@@ -65,7 +65,7 @@ class SetComparison:
         self.options = asked.shared
         with self._phase("reading"):
             self.read = read_set(source, asked.reading, self.options)
-            # What is rendered and measured; a cut-out is seen before a black ground.
+            # What is rendered and measured; a cut-out is composited over black.
             self.base = self.read.material.svbrdf.over_black()
             # What pictures and pairs are compared with.
             self.truth: Svbrdf | Truth = self.base if asked.truth is None else asked.truth(self.read.material)
@@ -75,7 +75,7 @@ class SetComparison:
         baked, seconds = self._bake()
         lobes_of = {name: each.lobes for name, each in baked.items() if each.lobes is not None}
         pyramids = {name: [level.svbrdf.over_black() for level in pyramid.levels] for name, pyramid in lobes_of.items()}
-        # What is no pyramid of lobes is drawn by what it says of itself.
+        # A result that is no pyramid of lobes is drawn by its appearance.
         drawn = {name: pyramids.get(name, each.appearance) for name, each in baked.items()}
         fit = fit_of(list(baked))
         depth = min(len(each.sizes) for each in baked.values())
@@ -119,7 +119,7 @@ class SetComparison:
         )  # fmt: skip
 
     def _stored(self, seen: Iterable[tuple[View, dict[str, NDArray]]]) -> list[View]:
-        """Views that name their pictures, which are kept."""
+        """Store the pictures of views, and return the views with the paths."""
         views = []
         for view, shown in seen:
             for name, picture in shown.items():
@@ -151,7 +151,7 @@ class SetComparison:
         )  # fmt: skip
 
     def _bake(self) -> tuple[dict[str, Baked], dict[str, float]]:
-        """Results and seconds by method; a method that cannot is noted with its sentence."""
+        """Results and seconds by method; a method that cannot bake the set is recorded with its sentence."""
         baked: dict[str, Baked] = {}
         seconds: dict[str, float] = {}
         for number, name in enumerate(self.methods):
@@ -206,8 +206,8 @@ class SetComparison:
     def _pairs(self, pyramids: Pyramids, depth: int) -> list[dict[str, float]]:
         """Per level and method the SNR in dB of the whole BRDF over random pairs of light and viewer.
 
-        Many pairs with few samples of the footprint each: the samples' noise averages out of ``pair_errors``, and which
-        pairs meet a highlight is by far the larger chance.
+        Many pairs take few samples of the footprint each: the samples' noise averages out of ``pair_errors``, and most
+        of the variance comes from which pairs meet a highlight.
         """
         figures = []
         options = self.options
@@ -261,7 +261,7 @@ class SetComparison:
     def _store(self, name: str, picture: NDArray) -> str:
         path = self._path(name)
         if picture.dtype != np.uint8:
-            # A picture cannot hold NaN; its figures tell of it.
+            # A picture cannot hold NaN; its figures report it.
             picture = np.round(255.0 * np.nan_to_num(picture)).astype(np.uint8)
         self.pictures[path] = picture
         return path

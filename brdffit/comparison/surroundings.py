@@ -1,4 +1,4 @@
-"""Surroundings from a picture: where the files of ``textures`` and the light of ``render`` meet."""
+"""Environments read from picture files, for the light of ``render``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def read_environment(file: str | None) -> Environment:
     """The environment of an equirectangular picture in linear radiance (.hdr, .exr); None: the one that ships.
 
     Raises:
-        InputError: when the picture cannot be read, or no light is like it.
+        InputError: when the picture cannot be read, or holds values that no light has.
     """
     if file is None:
         return procedural_environment()

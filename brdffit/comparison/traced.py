@@ -1,8 +1,8 @@
 """A comparison with the height traced as a surface: level by level at 45 degrees (Kuznetsov et al. 2021, Table 3).
 
-Maps are held against a truth with parallax, masking, shadows and interreflection, which they cannot show, beside a
-neural material, which can. The light's irradiance on the plane is pi: a white matt plane has the radiance 1, so that
-mean squared errors of linear radiance are on the scale of the paper's.
+Maps are compared with a truth that has parallax, masking, shadows and interreflection. They cannot show these; a neural
+material beside them can. The light's irradiance on the plane is pi: a white matt plane has the radiance 1, so that mean
+squared errors of linear radiance are on the scale of the paper's.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from brdffit.render.scenes import tilted
 from brdffit.report.records import LEVEL_GROUP, View
 from brdffit.svbrdf import Svbrdf
 
-#: Methods of the table where none are named, and what joins them where an option of its own is given.
+#: Methods of the table where none are named, and the one that joins them where one of its options is given.
 METHODS, NEURAL = ("naive", "vmf", "lean", "bfgs", "height", "ndm"), "neural"
 #: Degrees between the view and the plane's normal, and levels that are seen.
 _TILT, _LEVELS = 45.0, 8
@@ -47,7 +47,7 @@ def traced_truth(
 
 
 def methods_of_table(options: Iterable[str]) -> tuple[str, ...]:
-    """Methods of a table where none are named: a neural material is one where an option of its is given."""
+    """Methods of a table where none are named: with the neural material if one of its options is given."""
     return (*METHODS, NEURAL) if any(name.startswith(f"{NEURAL}.") for name in options) else METHODS
 
 
@@ -57,7 +57,11 @@ def tilted_views(
     """A view of each level at 45 degrees, with its pictures as ``views.all_views`` has them.
 
     Args:
-        truth: what is seen. drawn: results by name of the method. depth: levels that all of them have.
+        truth: what is seen.
+        drawn: results by name of the method.
+        depth: number of levels that all of them have.
+        studio: pixels and samples.
+        announce: called before each picture.
     """
     direction = _LIGHT / np.linalg.norm(_LIGHT)
     light = Lights(direction[None], np.full((1, 3), math.pi / direction[2]))

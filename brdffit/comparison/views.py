@@ -30,7 +30,7 @@ DISTANCES = {"near": 0, "mid": 3, "far": 7}
 #: Between level 0 and level 1, where the paper looks at motion (figures 4 and 6), and its rotation a frame, in radians.
 _MOTION_LEVEL, _ROTATION = 0.5, np.radians(0.1)
 _HALF_PIXEL = (0.5, 0.0)
-#: Columns over which it is measured.
+#: Columns of pixels over which the change by the rotation is measured.
 _COLUMNS = 6
 #: How much the change by half a pixel is amplified in its pictures.
 _AMPLIFIED = 2.0
@@ -48,7 +48,8 @@ class Studio:
         environment: around the surface.
         lights: the small lights.
         lamps: lights that have a size.
-        probe: the environment as an engine has it; its views are drawn once more by that. None: not.
+        probe: an engine's probe of the environment, by which views of the environment are drawn once more; None for
+            none.
         lit: what lights the pictures, in turn; stills of movement and slant are lit by the first.
         terms: of the BRDF that are simulated.
         reach: first and last level that are seen; None: all.
@@ -72,8 +73,8 @@ class Studio:
     def reference(self, base: Svbrdf | Truth, scene: Scene, lit: str) -> Reference:
         """The reference picture with its halves.
 
-        Under an environment or lamps it takes as many samples as a draft has: they cost ten times as much there, and
-        what noise they leave is kept out of the squared errors by the halves.
+        Under an environment or lamps it takes the samples of a draft: they cost ten times as much there, and the halves
+        keep their noise out of the squared errors.
         """
         return render_halves(
             base, scene, self._lights(lit), environment=self._environment(lit), terms=self.terms,
@@ -213,7 +214,7 @@ def _seen(
 
 
 def _pixels(studio: Studio, lit: str) -> tuple[int, int]:
-    """Of a still picture: a pixel under light that has a size costs ten times as much."""
+    """(h, w) of a still picture: smaller under light that has a size, where a pixel costs ten times as much."""
     side = studio.pixels if lit == SMALL_LIGHTS else studio.pixels * 2 // 3
     return side, side
 
@@ -284,7 +285,7 @@ def _displayed(radiance: Mapping[str, NDArray], exposure: float) -> dict[str, ND
 def _shift_view(
     first: Mapping[str, NDArray], moved: Mapping[str, NDArray], level: int, lit: str
 ) -> tuple[View, dict[str, NDArray]]:
-    """What half a pixel changes: pictures of the change, and its mean relative to the reference's own."""
+    """The change by a shift of half a pixel: pictures of it, and its mean relative to the reference's."""
     exposure = metrics.exposure_of(first["reference"])
     frames = {name: np.stack([first[name], moved[name]]) for name in moved}
     shots = _moving_shots(frames)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 #: Ends that are tried lie from so many units outside of a block's smallest and largest value to so many inside; a unit
 #: is a code, or a 28th of the block's range where that is more: a quarter of a step.
 _OUTSIDE, _INSIDE, _UNITS = 3, 2, 28.0
-#: Blocks that are worked on at a time: small enough for the processor's cache.
+#: Blocks encoded at a time: few enough for the processor's cache.
 _AT_ONCE = 4096
 #: Index of each number of sevenths above e1: 7 is e0 itself.
 _INDEX = np.array([1, 7, 6, 5, 4, 3, 2, 0], np.uint64)

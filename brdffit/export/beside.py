@@ -1,4 +1,4 @@
-"""What some presets write beside their pictures: .meta files for Unity, MaterialX and USD documents."""
+"""Files that some presets write beside their pictures: .meta files for Unity, MaterialX and USD documents."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from brdffit.svbrdf import Svbrdf
 
 
 class Alpha(NamedTuple):
-    """Alpha of a base colour; ``cutoff`` below which a mask is not there, None where it is blended."""
+    """Alpha of a base colour; a mask is cut out below ``cutoff``, which is None where alpha is blended."""
 
     cutoff: float | None
 
@@ -33,7 +33,7 @@ def write_beside(preset: Preset, folder: Path, name: str, base: Svbrdf, roles: S
 
 
 def alpha_of(base: Svbrdf) -> Alpha | None:
-    """What alpha of the base colour is, or None where it has none: opacity, or a test against a cutoff."""
+    """How the base colour's alpha is used (blended, or tested against a cutoff); None where it has none."""
     if base.opacity is None or not base.alpha:
         return None
     return Alpha(base.cutoff if base.alpha == "mask" else None)

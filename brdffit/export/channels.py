@@ -1,8 +1,8 @@
-"""What each channel of an engine's pictures means, and what of a lobe comes back from them.
+"""The meaning of each channel of an engine's pictures, and its inverse: the lobe that the pictures hold.
 
-What a channel name means is said once, as a property of `Channels`; `decode` is the inverse of them all. Sources: glTF
-2.0 and KHR_materials_anisotropy (Khronos); the standard material of Godot 4; Unreal 5 (GetAnisotropicRoughness) and
-Unity HDRP, alpha (1 +- A); Standard Surface (Autodesk), as MaterialX computes it.
+Each channel name is defined once, as a property of `Channels`; `decode` inverts them all. Sources: glTF 2.0 and
+KHR_materials_anisotropy (Khronos); the standard material of Godot 4; Unreal 5 (GetAnisotropicRoughness) and Unity HDRP,
+alpha (1 +- A); Standard Surface (Autodesk), as MaterialX computes it.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _PLAIN = Factors()
 
 
 class Channels:
-    """What the channel names of a `Picture` mean for one SVBRDF; each property is (H, W) in [0, 1] before clipping.
+    """The channels of a `Picture` by name, for one SVBRDF: (H, W), colours (H, W, 3), not yet clipped to [0, 1].
 
     Args:
         svbrdf: one level, or a band of its rows.
         normal_y: "gl" or "dx".
-        towards: (x, y) half plane in which anisotropy directions are given: a direction and its opposite are the same
-            lobe, but a texture filter would average them to nothing.
+        towards: (x, y), the middle of the half plane that anisotropy directions are turned into: a direction and its
+            opposite are the same lobe, but a texture filter would average them to zero.
         strongest: largest strength of glTF in the pyramid, by which lengths of directions are divided.
         factors: what the material multiplies values by, so that they are stored divided.
     """
@@ -71,7 +71,7 @@ class Channels:
 
     @property
     def opacity(self) -> NDArray:
-        """Share of the texel that there is surface, 1 where the set does not say."""
+        """Share of the texel that the surface covers, 1 where the set has no opacity."""
         return self.one if self._svbrdf.opacity is None else self._svbrdf.opacity
 
     @cached_property
@@ -153,10 +153,10 @@ class Channels:
 
     @cached_property
     def _scaled(self) -> NDArray:
-        """Directions as long as the lobe is anisotropic, at most 1.
+        """Directions whose length is the strength of anisotropy over the strongest of the pyramid, at most 1.
 
-        Engines bring them to unit length, so a length is free to choose. This one fades the noise of directions where
-        lobes are round: blocks spend no bits on it, and between texels the clearer direction wins.
+        Engines normalise them, so the length is free. This one fades the noise of directions where lobes are nearly
+        round: blocks spend no bits on it, and between texels the direction of the more anisotropic lobe prevails.
         """
         return self._direction * (self._strength / max(self._strongest, 1e-6))[..., None]
 
@@ -240,7 +240,7 @@ def decode(channels: Mapping[str, NDArray], normal_y: str = "gl", factors: Facto
         factors: of the material.
 
     Returns:
-        An SVBRDF of GGX; what the channels do not say is 1 (specular) or as if isotropic.
+        An SVBRDF of GGX; without channels for them, the specular colour is 1 and the lobe isotropic.
     """
     sign = 1.0 if normal_y == "gl" else -1.0
     xy = np.stack([2.0 * channels["normal_x"] - 1.0, sign * (2.0 * channels["normal_y"] - 1.0)], axis=-1)

@@ -1,8 +1,8 @@
 """Texels to blocks: BC6H and BC7 by ISPC Texture Compressor, UASTC by Basis Universal, BC4 and BC5 by ``bc4``.
 
-Two things the encoder of BC blocks does not do are done here: a level whose sides are no multiples of 4 is padded by
-its last row and column (the encoder returns too few bytes without a word), and what comes back is counted. Blocks do
-not depend on each other, so bands of them go to threads, and the bytes are the same for any number of threads.
+The encoder of BC blocks returns too few bytes, without an error, for a level whose sides are not multiples of 4. So
+such a level is padded here by repeating its last row and column, and the number of bytes is checked. Blocks do not
+depend on each other, so bands of them go to threads, and the bytes are the same for any number of threads.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from brdffit.errors import BrdffitError, UnknownNameError
 from brdffit.export.bc4 import encode_bc4
 from brdffit.export.formats import PixelFormat
 
-#: How much time an encoder takes: profiles of ISPC's BC7 and BC6H, and efforts of Basis.
+#: Time that an encoder may take; below, the profiles of ISPC's BC7 and BC6H and the efforts of Basis that they stand
+#: for.
 COMPRESSIONS = ("fast", "good", "best")
 _BC7 = {"fast": "ultrafast", "good": "basic", "best": "slow"}
 _BC6H = {"fast": "veryfast", "good": "basic", "best": "slow"}

@@ -1,4 +1,4 @@
-"""What storing a pyramid in a preset's pictures has cost: they are decoded again and held against what was baked."""
+"""The loss by storing a pyramid in a preset's pictures: they are decoded again and compared with what was baked."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Cost:
         self, picture: Picture, srgb: bool, encoded: Sequence[NDArray], pixels: PixelFormat | None = None,
         data: Sequence[bytes] | None = None,
     ) -> dict[str, Any]:  # fmt: skip
-        """Take a picture: its codes or floats (H, W, C) of each level and, where it has blocks, those.
+        """Record a picture: its codes or floats (H, W, C) of each level, and its compressed blocks if it has any.
 
         Returns:
             ``psnr_db`` of each level after compression, over all its texels and channels; nothing without blocks.

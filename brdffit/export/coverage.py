@@ -1,4 +1,4 @@
-"""Alpha of cut-outs in pictures: as much of each level passes the test as of level 0.
+"""Alpha of cut-outs in pictures: each level passes the alpha test on the same share of its texels as level 0.
 
 Averaged alpha under a test loses thin things first: a leaf's stalk falls below the cutoff two levels down. So alpha of
 each level is scaled until the share of texels at or above the cutoff is that of level 0 (Castano 2010, "Computing alpha
@@ -25,7 +25,7 @@ def share_above(opacity: NDArray, cutoff: float) -> float:
 def with_kept_coverage(levels: Sequence[Svbrdf]) -> list[Svbrdf]:
     """Levels of a mask with opacity scaled so that each has the tested share of level 0; others as they are.
 
-    A level of n texels can have it to 1 / 2n at best, and ties may leave more.
+    On a level of n texels the share can be off by 1 / (2n), and by more where opacities are equal.
     """
     base = levels[0]
     if base.opacity is None or base.alpha != "mask":

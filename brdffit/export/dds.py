@@ -1,7 +1,7 @@
 """DDS files whose MIP levels are given: a writer that holds one level at a time.
 
-Source: DDS_HEADER and DDS_HEADER_DXT10 (Microsoft, Direct3D documentation). Always with the DX10 header, for the old
-one says nothing of sRGB; always with all levels, for Godot refuses a chain that stops short.
+Source: DDS_HEADER and DDS_HEADER_DXT10 (Microsoft, Direct3D documentation). The DX10 header is always written, since
+the old one cannot say sRGB; a 2-D texture always has all levels, since Godot refuses a chain that stops short.
 """
 
 from __future__ import annotations

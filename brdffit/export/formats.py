@@ -45,7 +45,7 @@ class PixelFormat:
         name: as in this program.
         vulkan: VkFormat; 0 for UASTC, which is none.
         dxgi: DXGI number for DDS; None where DDS has none.
-        type_size: bytes of a number whose order of bytes matters; 1 for blocks.
+        type_size: bytes of the unit that endianness applies to (typeSize of KTX2); 1 for blocks.
         edge: texels an edge of a block: 1 or 4.
         block_bytes: bytes of a block.
         srgb: whether red, green and blue are sRGB-encoded.
@@ -72,7 +72,7 @@ class PixelFormat:
 
     @property
     def takes_floats(self) -> bool:
-        """Whether its encoder makes more of floats than of codes: floats, and blocks finer than 8 bits."""
+        """Whether it keeps more of floats than of 8-bit codes: float formats, and BC4 and BC5."""
         return self.is_float or self.name in ("bc4", "bc5")
 
     def level_bytes(self, size: tuple[int, int]) -> int:

@@ -1,4 +1,4 @@
-"""The geometry of a glTF file that wears a material, so that a GLB shows it again.
+"""The geometry of a glTF file that uses a material, copied so that a GLB shows the baked material on it.
 
 Nodes, meshes and their static vertices are taken; skins, morph targets, animations, cameras and lights are not. Source:
 glTF 2.0, KHR_texture_transform, KHR_mesh_quantization (Khronos).
@@ -39,11 +39,13 @@ class Writer(Protocol):
 
 @dataclass(frozen=True)
 class Geometry:
-    """What wears a material.
+    """The geometry that uses a material.
 
     Attributes:
-        path: the glTF file. document, binary: of it. material: number of the material there.
-        place: of a reference to a texture: "texCoord" and the texture transform, where there are such.
+        path: the glTF file.
+        document, binary: its JSON, and its binary chunk if any.
+        material: number of the material in it.
+        place: "texCoord" and the texture transform of its references to textures, where there are such.
     """
 
     path: Path
@@ -136,7 +138,7 @@ class Geometry:
 
 
 def geometry_of(path: Path, material: int) -> tuple[Geometry | None, str]:
-    """The geometry that wears a material of a glTF file; or None and why a rectangle wears it instead."""
+    """The geometry that uses a material of a glTF file; or None, and why a rectangle is used instead."""
     try:
         document, binary = read_document(path, path.read_bytes())
         return _geometry(path, document, binary, material)

@@ -1,7 +1,7 @@
 """A GLB whose material holds our own MIP levels: KTX2 pictures under KHR_texture_basisu.
 
-A rectangle wears it, or the input's own geometry.
-Source: glTF 2.0, KHR_texture_basisu, KHR_materials_anisotropy, KHR_materials_specular (Khronos).
+The material is applied to a rectangle, or to the input's own geometry. Source: glTF 2.0, KHR_texture_basisu,
+KHR_materials_anisotropy, KHR_materials_specular (Khronos).
 """
 
 from __future__ import annotations
@@ -36,9 +36,10 @@ def write_glb(
         name: of the material.
         size: (height, width) of level 0; the square becomes a rectangle of these proportions, its longer side 2 wide.
         wrap: "tile" or "clamp".
-        alpha: "mask", "blend" or "": what the base colour's alpha is. cutoff: of a mask.
+        alpha: "mask", "blend" or "": how the base colour's alpha is used.
+        cutoff: of a mask.
         factors: by which the pictures are divided, and which the material multiplies.
-        geometry: what wears the material; None: the rectangle.
+        geometry: the geometry that the material is applied to; None for the rectangle.
 
     Raises:
         OSError: when the file cannot be written.

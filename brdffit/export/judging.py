@@ -1,8 +1,8 @@
-"""What pictures keep of a lobe: SNR between what is stored and what was baked, at random texels.
+"""How much of a lobe pictures keep: the SNR of what is stored against what was baked, at random texels.
 
 Both lobes are evaluated under random directions: views with the density of the cosine, lights drawn from either lobe
-by turns and weighted by the mixture of both densities (Veach and Guibas 1995), so that neither a lobe too narrow nor
-one too wide goes unseen.  SNR = 10 log10 of sum (f n.l)^2 / sum (f n.l - g n.l)^2.
+alternately and divided by the mixture of both densities (Veach and Guibas 1995), so that the error of a stored lobe is
+seen whether it is too narrow or too wide.  SNR = 10 log10 of sum (f n.l)^2 / sum (f n.l - g n.l)^2.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ def signal_to_noise(baked: Svbrdf, stored: Svbrdf, lobe_alone: bool = False) -> 
     """SNR in dB of two SVBRDFs of the same size, over all their texels; HIGHEST_DB at most.
 
     Args:
-        baked, stored: what is meant and what a picture holds of it; both are evaluated with the model of ``baked``.
+        baked, stored: the baked SVBRDF, and the one that a picture holds; both are evaluated with the model of
+            ``baked``.
         lobe_alone: compare normals and roughness, with a specular colour of 1 and nothing diffuse.
     """
     appearance = LobePyramid([baked])

@@ -12,7 +12,7 @@ from brdffit.textures.conversion import DIELECTRIC_F0
 
 #: Largest specular colour: F0 is 1 then.
 MOST_TINT = 1.0 / DIELECTRIC_F0
-#: Share of a dielectric below which its colour is left as it is: it says little, and would be divided by the share.
+#: Share of the dielectric below which its colour is left as it is: dividing by the share would amplify noise.
 _LEAST_SHARE = 0.1
 
 
@@ -22,9 +22,9 @@ def base_color_and_metallic(specular: NDArray, diffuse: NDArray) -> tuple[NDArra
     The model is, per channel, s = 0.04 (1-m) + base m and d = base (1-m).  With q = 1-m and base = d/q:
     0.04 q^2 - (s + d) q + d = 0.  It is linear in s and d, so it holds for the means over the channels too, and one q
     serves all three.  Where s < 0.04 both roots may lie in [0, 1] (a dark metal looks like a dark dielectric): the one
-    that explains the channels better is taken, the dielectric when they tie.  Then base is the least-squares answer of
-    both equations, (d q + (s - 0.04 q) m) / (q^2 + m^2), whose denominator is at least 1/2: nothing is divided by zero
-    for black or noisy colours, and colours of the model itself come back as they were.
+    that fits the channels better is taken, the dielectric when they tie.  Then base is the least-squares answer of both
+    equations, (d q + (s - 0.04 q) m) / (q^2 + m^2), whose denominator is at least 1/2: nothing is divided by zero for
+    black or noisy colours, and colours of the model itself come back as they were.
     """
     s = specular.mean(axis=-1, dtype=np.float64)
     d = diffuse.mean(axis=-1, dtype=np.float64)
@@ -34,7 +34,7 @@ def base_color_and_metallic(specular: NDArray, diffuse: NDArray) -> tuple[NDArra
     metal = np.clip(2.0 * d / np.maximum(total + root, np.finfo(np.float32).tiny), 0.0, 1.0)
     dielectric = (total + root) / (2.0 * DIELECTRIC_F0)
     q = metal
-    # Only for dark colours is the larger root a share at all; 5% more, for those that noise has pushed out.
+    # The larger root is a share, at most 1, only for dark colours; 5% more admits those that noise has pushed out.
     dark = dielectric <= 1.05
     if dark.any():
         tie = 1e-4  # of reflectance: well below one code of an 8-bit picture

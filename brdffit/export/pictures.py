@@ -1,7 +1,7 @@
 """Pictures of a preset: from levels to channels, codes and blocks, and into the files that an engine loads.
 
-Two pictures at a time, all levels of each. What is written is decoded again and held against what was baked,
-see ``cost``.
+Two pictures are made at a time, with all their levels. What is written is decoded again and compared with what was
+baked, see ``cost``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from brdffit.methods import Pyramid
 from brdffit.roughness import log_from_tensor, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 
-#: What the manifest says of a picture, and for a GLB the KTX2 file that goes into it.
+#: The manifest's record of a picture, and for a GLB the bytes of its KTX2 file.
 _Made = tuple[dict[str, Any], bytes]
 _TEXELS_PER_BAND = 1 << 20
 _PICTURES_AT_ONCE = 2
@@ -47,13 +47,13 @@ _SLACK = 1e-5
 
 
 class Count:
-    """Counts pictures that are written, from any thread, and tells of each."""
+    """Counts pictures that are written, from any thread, and calls ``told`` with a line after each."""
 
     def __init__(self, told: Callable[[str], None] | None = None, total: int = 0) -> None:
         self._told, self._done, self._total, self._lock = told, 0, total, threading.Lock()
 
     def more(self, count: int) -> None:
-        """So many more are to be written."""
+        """``count`` more are to be written."""
         with self._lock:
             self._total += count
 
@@ -66,7 +66,7 @@ class Count:
 
 
 def check_preset(preset: Preset, bits: int = 8, size: tuple[int, int] | None = None) -> None:
-    """See, before the work, that a preset can be written.
+    """Check, before the work, that a preset can be written.
 
     Raises:
         MissingEncoderError: when its encoder is not installed.
@@ -110,11 +110,11 @@ def write_pictures(
         preset: what to write.
         bits: 8; or 16: PNG of 16 bits, and floats of 16 bits instead of blocks in DDS and KTX2.
         compress: one of COMPRESSIONS, how long encoders of blocks may take.
-        geometry: what a GLB shows; None: a rectangle.
+        geometry: the geometry that a GLB shows; None for a rectangle.
         count: is told of each picture.
 
     Returns:
-        For the manifest: ``pictures``, what is said of each role, and ``stored``, what is left of the lobes.
+        For the manifest: ``pictures``, a record by role, and ``stored``, the figures of ``Cost`` for each level.
     """
     check_preset(preset, bits)
     check_compression(compress)
@@ -210,7 +210,7 @@ def _write_picture(
 
 
 def _of_alpha(levels: Sequence[Svbrdf]) -> dict[str, Any]:
-    """For the manifest: what alpha is, and the share of each level that passes its test."""
+    """For the manifest: the mode of alpha, and the share of each level that passes its test."""
     base = levels[0]
     if base.opacity is None or not base.alpha:
         return {}
@@ -221,7 +221,7 @@ def _of_alpha(levels: Sequence[Svbrdf]) -> dict[str, Any]:
 
 
 def stored_levels(pyramid: Pyramid, preset: Preset, compress: str = "good") -> list[Svbrdf]:
-    """What an engine gets: the levels of a pyramid drawn as a preset's pictures of 8 bits, compressed and decoded."""
+    """The levels as an engine reads them: drawn as a preset's pictures of 8 bits, compressed and decoded."""
     levels = [level.svbrdf for level in pyramid.levels]
     drawing = Drawing(levels, preset)
     channels: list[dict[str, NDArray]] = [{} for _ in levels]
@@ -328,7 +328,7 @@ def dominant_direction(svbrdf: Svbrdf) -> tuple[float, float]:
 
 
 def full_chain(levels: Sequence[Svbrdf]) -> list[Svbrdf]:
-    """Levels down to 1x1: those that are missing are box averages of the last, its tensor and not its logarithm."""
+    """Levels down to 1x1: missing ones are box averages of the last, where Sigma is averaged, not its logarithm."""
     levels = list(levels)
     sizes = level_sizes(levels[0].size)
     box, last = get_pixel_filter("box"), levels[-1]
@@ -349,7 +349,7 @@ def full_chain(levels: Sequence[Svbrdf]) -> list[Svbrdf]:
 
 
 def bands(size: tuple[int, int]) -> Iterator[slice]:
-    """Rows of a picture, so many at a time that what is derived of them stays small."""
+    """Bands of a picture's rows, which bound the memory of arrays derived from them."""
     rows = max(1, _TEXELS_PER_BAND // size[1])
     for start in range(0, size[0], rows):
         yield slice(start, min(start + rows, size[0]))

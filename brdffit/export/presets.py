@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from brdffit.methods import one_of
 
-#: How a preset's files are kept. "png": one file a level.
+#: File formats of presets. "png" writes one file a level, the others all levels into one.
 CONTAINERS = ("png", "exr", "dds", "ktx2", "glb")
 
 
@@ -51,7 +51,7 @@ class Preset:
         container: one of CONTAINERS.
         zstd: level of Zstandard in KTX2 files, or None.
         beside: what else is written: "unity" (.meta files), "documents" (.mtlx and .usda), or "".
-        factors: whether the material that is written multiplies what its pictures hold, see `factors`.
+        factors: whether a material is written whose factors multiply its pictures, see `factors`.
         note: what the engine's user has to set, one sentence or two.
     """
 

@@ -1,6 +1,6 @@
 """Writing a pyramid: MIP-mapped EXR files, engine-ready pictures, manifest and preview, all of them or none.
 
-Memory stays near two EXR files' worth at any size: two of them are written at once, pictures beside them, and derived
+Memory stays near that of two EXR files and two pictures at any size: so many are written at once, and derived
 quantities are computed in bands of rows.
 """
 
@@ -33,7 +33,7 @@ _FILES_AT_ONCE = 2
 def check_writable(
     folder: str | Path, size: tuple[int, int] | None = None, preset: str = "plain", bits: int = 8
 ) -> None:
-    """See, before the work, that ``folder`` can be made or replaced later and that its disk has room.
+    """Check, before the work, that ``folder`` can be made or replaced later and that its disk has room.
 
     Args:
         folder: OUT/<set>.
@@ -65,10 +65,10 @@ def write_baked(
     """Write a result into ``folder`` (OUT/<set>), which is replaced as a whole or left as it was.
 
     Writes normal.exr, roughness.exr (the tensor in alpha^2), specular.exr, diffuse.exr, shape.exr where the model has a
-    shape parameter, the preset's files (mips/<name>_<role>.<level>.png, or
-    <preset>/...), manifest.json and, if given, preview.png. A pyramid that stops
-    before 1x1 is continued in the EXR files by box averages of its last level, for texture systems cannot read a chain
-    that stops short; the manifest lists those levels under ``filled_levels``. The pictures stop where the pyramid does.
+    shape parameter, opacity.exr where the set has opacity, the preset's files (mips/<name>_<role>.<level>.png, or
+    <preset>/...), manifest.json and, if given, preview.png. A pyramid that stops before 1x1 is continued in all files
+    but PNG by box averages of its last level, since texture systems cannot read a chain that stops short; the manifest
+    lists those levels under ``filled_levels``.
 
     Args:
         baked: what a method returned; pictures for engines are drawn of lobes alone.
@@ -78,9 +78,9 @@ def write_baked(
         bits: 8 or 16, of the pictures.
         compress: "fast", "good" or "best": how long encoders of blocks may take.
         manifest: from `build_manifest`.
-        preview: (H, W, 3) uint8, from `make_preview`. Both may be functions, which are called when all else is written:
-            what they wait for is then made meanwhile.
-        told: is called with a line on how many pictures are written, after each and from any thread.
+        preview: (H, W, 3) uint8, from `make_preview`. It and ``manifest`` may be functions: they are called when all
+            else is written, so that they may be computed meanwhile.
+        told: called with a line on how many pictures are written, after each of them and from any thread.
 
     Returns:
         The manifest as written.
@@ -130,7 +130,7 @@ def write_baked(
 
 
 def _geometry(baked: Baked) -> Geometry | None:
-    """The geometry of the input, where that is a glTF file; why not is noted."""
+    """The geometry of the input, where that is a glTF file; where it cannot be used, a note says why."""
     if baked.worn is None:
         return None
     geometry, why = geometry_of(*baked.worn)

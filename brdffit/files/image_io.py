@@ -29,7 +29,7 @@ IMAGE_SUFFIXES = (
     ".gif", ".ico", ".dpx", ".cin", ".pnm", ".ppm", ".pgm", ".pbm", ".pfm", ".rla", ".sgi", ".rgb", ".rgba", ".iff",
     ".fits", ".pic",
 )  # fmt: skip
-#: File types that hold pictures or materials and are not read: they are listed, so that nobody looks for them.
+#: File types that hold pictures or materials but are not read: ``inspect`` lists them as unused.
 UNREAD_SUFFIXES = (
     ".ktx", ".ktx2", ".basis", ".avif", ".heic", ".heif", ".svg", ".pdf", ".sbsar", ".sbs", ".spp", ".usd", ".usda",
     ".usdc", ".usdz", ".blend", ".fbx", ".obj", ".mtl", ".mat", ".uasset", ".tres", ".vmt", ".vtf", ".pcx", ".crn",
@@ -56,7 +56,7 @@ class ImageInfo:
         format: name of the file format ("png", "jpeg", "openexr", ...).
         orientation: how it is stored, 1 to 8 as in Exif; width and height are those of the picture set upright.
         associated: whether the file says that its colours are multiplied by alpha.
-        part: which part of a file of several it is.
+        part: number of the part that is read, where the file has several.
         picked: indices of its channels among those of the file, where the file holds more; () for all.
         remark: what of the file is left out, or "".
     """

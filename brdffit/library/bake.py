@@ -47,7 +47,7 @@ class ReadTask:
 
     Attributes:
         read: what was read, with the SHA-256 of each file that could be.
-        request: what the result will be of.
+        request: all that the result depends on, see ``state``.
         seconds: spent on it.
     """
 
@@ -91,7 +91,7 @@ def open_set(task: Task) -> TextureSet:
         texture_set = read_texture_set(found.source, **reading)
         texture_set.name = found.name
         return texture_set
-    # As read_texture_set, of some files of a folder that holds more.
+    # The same steps as in read_texture_set, for some files of a folder that holds more.
     named = named_group(found.folder, found.files, found.udim)
     explicit = explicit_roles(found.folder, dict(reading.pop("roles") or {}))
     reading.pop("material", None)
@@ -133,7 +133,7 @@ def warm_up(methods_and_models: set[tuple[str, str | None]]) -> None:
 
 
 def sentence_of(error: BaseException, task: Task) -> str:
-    """What is said of a set that failed."""
+    """The sentence about a set that failed."""
     if isinstance(error, BrdffitError):
         return str(error)
     if isinstance(error, MemoryError):

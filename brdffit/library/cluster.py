@@ -22,9 +22,9 @@ _TIMEOUT = 20
 
 
 def run_on_cluster(scheduler: str, jobs: Sequence[Job]) -> Generator[Outcome, None, None]:
-    """Bake all jobs by the workers of a Dask scheduler; outcomes come as they are.
+    """Bake all jobs by the workers of a Dask scheduler; outcomes are yielded as tasks end.
 
-    Dask itself repeats what a lost worker was at, and gives up after its setting ``allowed-failures``.
+    Dask itself repeats the task of a lost worker, at most as often as its setting ``allowed-failures`` says.
 
     Raises:
         InputError: when Dask is not installed, or the scheduler does not answer.
@@ -67,7 +67,7 @@ def run_on_cluster(scheduler: str, jobs: Sequence[Job]) -> Generator[Outcome, No
 
 
 def _warm_up(client: Client, methods_and_models: set[tuple[str, str | None]]) -> None:
-    """Kernels on one worker of each machine, before others there want them: two that compile at once do it twice."""
+    """Compile on one worker of each machine first: workers that start together would each compile the same kernels."""
     hosts: dict[str, str] = {}
     for address, worker in client.scheduler_info(n_workers=-1)["workers"].items():
         hosts.setdefault(worker["host"], address)

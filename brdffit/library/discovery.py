@@ -1,4 +1,4 @@
-"""The texture sets below a folder, by its names alone: what a set really holds is seen when it is read.
+"""The texture sets below a folder, by file names, headers and material files; pixels are read when a set is baked.
 
 Each folder of textures is a set; so is each material of a folder that holds several, each UDIM tile, and each glTF or
 MaterialX file where no images with roles tell the set. A set's place below the output is that below the root.
@@ -31,7 +31,7 @@ def find_sets(
     Args:
         root: folder of the library.
         output: the library's output, should it lie within.
-        is_left_out: says of the place of a folder or a set that it is not wanted.
+        is_left_out: whether the place of a folder or a set is left out.
 
     Raises:
         InputError: when ``root`` is no folder that can be read, or two sets would take the same place.
@@ -113,7 +113,7 @@ def _sets_of(folder: Path, place: str, root: Path) -> list[Found]:
         for name in names
     ]  # fmt: skip
     if several:
-        # What such a file uses is no set of its own; what else lies there may be.
+        # Images that such a file uses are no set of their own; others in the folder may be.
         used = {path.resolve() for found in several for path in references(found.source, found.material)}
         left = [group for group in groups or [] if not all((folder / file).resolve() in used for file in group.files)]
         return several + [Found(within(group.name or whole), folder, group.files, group.udim) for group in left]
@@ -124,7 +124,7 @@ def _sets_of(folder: Path, place: str, root: Path) -> list[Found]:
         return [Found(whole, folder)]
     if scenes:
         return [Found(within(Path(name).stem), folder / name) for name in scenes]
-    # Colours or roughness without a surface: a set that lacks something, to be named; pictures without a role are none.
+    # Maps without normal or height are an incomplete set, which is reported; pictures without a role are no set.
     return [Found(whole, folder)] if maps else []
 
 
@@ -142,7 +142,7 @@ def _as_folder(name: str) -> str:
 
 
 def _without_parts(sets: list[Found]) -> list[Found]:
-    """Without the folders of images that a material file names: its textures are no set of their own."""
+    """Leave out folders whose images a material file uses: they are no sets of their own."""
     used: set[Path] = set()
     for found in sets:
         entry = material_file(found)
@@ -172,7 +172,7 @@ def material_file(found: Found) -> Path | None:
 
 
 def references(entry: Path, material: str | None = None) -> list[Path]:
-    """The files that a material file needs, itself first; those it names only, where it is damaged."""
+    """The files that a material file needs, itself first; of a damaged one only those that could be found."""
     paths = [entry]
     try:
         paths += sorted(

@@ -1,4 +1,4 @@
-"""What people see of a library's run: a bar with rate and time left, failures as they come, a list at the end."""
+"""A library's run in a terminal: a bar with rate and time left, failures as they come, a list at the end."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class LibraryDisplay:
         self._bars.update(self._task, description=_PHASES.get(name, name))
 
     def planned(self, plan: Plan) -> None:
-        """What is to be done is known."""
+        """Show the plan's counts and failures, and start the bar."""
         self._sets = len(plan.reasons)
         self._bars.reset(self._task, total=sum(height * width for height, width in plan.sizes.values()), state="")
         self._console.print(

@@ -1,7 +1,7 @@
 """Several materials, or UDIM tiles, in one folder: which of its files belong together.
 
-Files belong together whose names agree but for the role, resolution and file-type words: the stems that
-``textures.naming`` leaves over. Of UDIM files (``Name_Role.1001.png``) each tile is a set of its own.
+Files belong together if their names agree but for the words of role, resolution and file type, that is, if
+``textures.naming`` leaves the same stem. Of UDIM files (``Name_Role.1001.png``) each tile is a set of its own.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from brdffit.errors import InputError
 from brdffit.files.image_io import read_info
 from brdffit.textures.naming import LETTERS, NamedSet, name_tokens, roles_from_names
 
-#: Tiles are numbered 1001 + u + 10 v; after an underscore the number may be a resolution, and counts with others only.
+#: Tiles are numbered 1001 + u + 10 v. After an underscore the number may be a resolution, so it needs other tiles
+#: beside it.
 _UDIM = re.compile(r"^(?P<rest>.*?)(?P<mark>[._])(?P<tile>1[0-9]{3})(?P<tail>(?:[._-][A-Za-z][A-Za-z0-9]*)*)$")
 #: Mudbox and its kin count from one: u1_v1 is tile 1001.
 _UV = re.compile(r"^(?P<rest>.*?)(?P<mark>[._-])u(?P<u>[1-9])_v(?P<v>\d{1,2})(?P<tail>.*)$", re.IGNORECASE)
@@ -35,8 +36,8 @@ class Group:
 def groups_of(folder: Path, images: Sequence[str]) -> list[Group] | None:
     """The materials among the images of a folder, where they are several; None where the folder is one set or none.
 
-    A group that has neither normal nor height map counts if at least two of its files have a role: it will be refused
-    with its sentence, where a lone picture is just left out.
+    A group that has neither normal nor height map counts if at least two of its files have a role: it is then refused
+    with a sentence, whereas a lone picture is ignored.
     """
     tiles = udim_tiles(images)
     if tiles:
@@ -62,7 +63,7 @@ def udim_tiles(images: Sequence[str]) -> dict[int, dict[str, str]]:
             marks.add(found[2])
     if marks == {"_"} and (len(tiles) < 2 or 1001 not in tiles):
         return {}
-    # A map without a tile serves all of them, unless a tile has one of its role.
+    # A map without a tile's number is used for every tile that has no map of its role.
     for file in images if len(tiles) > 1 else []:
         roles = roles_from_names([file]).maps.keys() if tile_of(file) is None else set()
         for renamed in tiles.values():
@@ -112,7 +113,7 @@ def _has_alpha(path: Path) -> bool:
 
 
 def _alone(folder: Path, images: list[str]) -> list[Group]:
-    """What is left beside tiles, if it is a set."""
+    """The images beside tiles, if they are a set."""
     maps = named_with_alpha(folder, images).maps if images else {}
     return [Group(_common_name(images), tuple(images))] if _SURFACE & maps.keys() else []
 

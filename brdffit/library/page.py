@@ -1,4 +1,4 @@
-"""The index page of a library: one file that holds all it shows; it draws, it computes nothing."""
+"""The index page of a library: one self-contained file, drawn from the record and the thumbnails."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Sets go out largest first, so that none is left alone at the end. A set takes its share of the memory, by an estimate,
 and the same share of the cores: a large one runs nearly alone on many threads, small ones run one a core. A worker that
-dies is replaced; what it was at is tried again twice, each time with twice the memory to itself and nothing read beside
+dies is replaced; its set is tried again twice, each time with twice the memory and with no other set read ahead beside
 it, then set aside.
 """
 
@@ -20,7 +20,7 @@ from typing import Any
 from brdffit.library import worker as worker_process
 from brdffit.library.task import Outcome, Task
 
-#: Peak memory of a bake: of each texel of level 0, and of a worker as such; a test measures that both are enough.
+#: Peak memory of a bake in bytes: a texel of level 0, and a worker as such; a test measures that both are enough.
 BYTES_PER_TEXEL, BYTES_PER_WORKER = 240, 400 << 20
 ATTEMPTS = 3
 #: Seconds that a worker has to leave before it is killed.
@@ -44,7 +44,7 @@ class Job:
 
 
 class Worker:
-    """A process, what it bakes, and what it reads meanwhile."""
+    """A process, the job that it bakes, and the next one, which it reads meanwhile."""
 
     def __init__(self, context: Any) -> None:
         self.pipe, theirs = context.Pipe()
@@ -77,7 +77,7 @@ class Pool:
         self.pending: list[Job] = []
 
     def run(self, jobs: Sequence[Job]) -> Generator[Outcome, None, None]:
-        """Bake all; outcomes come as they are. Whatever ends it, no worker is left behind."""
+        """Bake all; outcomes are yielded as jobs end. However it ends, no worker process is left."""
         self.pending = sorted(jobs, key=lambda job: (-job.texels, job.task.key))
         context = multiprocessing.get_context("spawn")
         try:
@@ -119,7 +119,7 @@ class Pool:
                 worker.tell("read", worker.next.task)
 
     def _take(self, ahead: bool = False) -> Job | None:
-        """The largest job that fits; a smaller one may overtake it, for what it waits for is a larger one's memory."""
+        """The largest pending job whose memory fits; larger ones wait until memory is free."""
         room = self.memory - self._reserved()
         idle = not ahead and not any(worker.now for worker in self.workers)
         for index, job in enumerate(self.pending):
@@ -137,7 +137,7 @@ class Pool:
         return None
 
     def _listen(self, context: Any) -> Iterator[Outcome]:
-        """Wait for something to happen; outcomes of what was finished or given up."""
+        """Wait for any worker; yields the outcomes of jobs that were finished or given up."""
         by_pipe = {worker.pipe: worker for worker in self.workers}
         for pipe in pipes.wait(list(by_pipe)):
             worker = by_pipe[pipe]  # type: ignore[index]
@@ -153,7 +153,7 @@ class Pool:
         worker.process.join()
         worker.pipe.close()
         if worker.next is not None:
-            # It may be what killed it: it is not read beside another again.
+            # Reading it may have killed the worker: it is not read beside another set again.
             worker.next.alone = True
             self.pending.append(worker.next)
         job = worker.now

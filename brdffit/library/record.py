@@ -1,4 +1,4 @@
-"""``library.json``: every set of a library with what its manifest says, and the sentences of those that failed.
+"""``library.json``: every set of a library with figures of its manifest, and the sentences of those that failed.
 
 It is made from the manifests each time, so no kill loses anything. Like a manifest it has a part ``volatile``; the rest
 does not depend on how the work was shared out, or how often it was interrupted.

@@ -1,4 +1,4 @@
-"""A run over a library: what is there, what must be baked, baking it, and the record of it all."""
+"""A run over a library: find the sets, decide which must be baked, bake them, and write the record."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from brdffit.options import refuse_unknown
 
 
 class Listener(Protocol):
-    """Who wants to know how far a run is."""
+    """Receives the progress of a run."""
 
     def phase(self, name: str) -> None:
         """A phase begins: looking, compiling, baking."""
 
     def planned(self, plan: Plan) -> None:
-        """What is to be done is known."""
+        """The plan is made."""
 
     def finished(self, outcome: Outcome, sizes: Mapping[str, tuple[int, int]]) -> None:
         """A set is baked or set aside; ``sizes`` of all sets to be baked."""
@@ -114,7 +114,7 @@ def run_library(
         options: as of ``brdffit.pipeline.bake_to_folder``; they win over the settings.
 
     Returns:
-        What was done; sets that failed are in it, and no reason to stop.
+        What was done; it also holds the sets that failed, which do not stop the run.
 
     Raises:
         InputError: for a root, settings or a scheduler that cannot be used.
@@ -227,7 +227,7 @@ def _size(task: Task) -> tuple[int, int]:
 
 
 def _refuse_giants(plan: Plan, memory: int) -> None:
-    """Sets that this machine has no memory for are told before the run, not killed in it."""
+    """Fail sets that this machine has no memory for before the run, instead of losing their workers in it."""
     for key, (height, width) in list(plan.sizes.items()):
         needed = height * width * BYTES_PER_TEXEL
         if needed > memory:

@@ -40,7 +40,7 @@ FILE_NAME = "library.toml"
 
 
 class Common(Struct, forbid_unknown_fields=True, frozen=True):
-    """What may be said of a set that is no option of its method; None says nothing."""
+    """Settings of a set that are no options of its method; None where it is not given."""
 
     method: str | None = None
     preset: str | None = None
@@ -92,7 +92,7 @@ class Settings:
         return any(fnmatchcase(key, pattern) for pattern in self.exclude) or (bool(skipped) and skipped[-1])
 
     def of(self, found: Found, command_line: Mapping[str, Any]) -> dict[str, Any]:
-        """All that is said of a set."""
+        """All settings and options of a set, merged."""
         usual = {"wrap": "clamp"} if found.udim is not None else {}  # a tile goes on in its neighbour, not in itself
         matching = [entry.said for entry in self.sets if fnmatchcase(found.key, entry.match)]
         return merged(usual, self.options, *matching, command_line)

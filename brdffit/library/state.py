@@ -1,4 +1,4 @@
-"""Whether a set must be baked again: the request that its manifest holds against the one that would be made now.
+"""Whether a set must be baked again: its manifest's request is compared with the one that would be made now.
 
 A request is everything that a result depends on: the contents of every file that could be read (by SHA-256, used or
 not: a new map may take another's place), how they are read, all options, the sources of the program, and the versions
@@ -29,7 +29,7 @@ from brdffit.pipeline import bake_options, bound_sources
 from brdffit.textures.reading import SUFFIXES
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-#: Sources that no pixel depends on.
+#: Sources that no pixel depends on; a change of them leaves results up to date.
 _NO_MATTER = ("cli.py", "console.py", "library/", "report/")
 #: Sources of the library that its pictures and manifests depend on.
 _MATTER = ("library/bake.py", "library/state.py", "library/thumbnail.py")

@@ -1,7 +1,7 @@
 """Where a library is written: a folder, or an address that fsspec knows (a bucket, a server).
 
-In a folder each set is replaced as a whole (see ``files.atomic``). Elsewhere there is no such exchange: there a set
-is whole when its manifest is, for that is taken away first and written last.
+In a folder each set is replaced as a whole (see ``files.atomic``). Other file systems have no such exchange: there a
+set is complete if it has a manifest, which is removed first and written last.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ class Store(Protocol):
         """A file's bytes, or None where there is none."""
 
     def size(self, name: str) -> int | None:
-        """A file's bytes counted, or None where there is none."""
+        """The number of a file's bytes, or None where there is no file."""
 
     def write(self, name: str, text: str) -> None:
         """Write a file as a whole."""
 
     def writing(self, task: Task, size: tuple[int, int]) -> contextlib.AbstractContextManager[Write]:
-        """See that the set can be written, then give what writes it."""
+        """Check that the set can be written, then give the function that writes it."""
 
     def alone(self) -> contextlib.AbstractContextManager[None]:
-        """One run at a time, where the file system has locks: to read what is there, and write it anew."""
+        """Hold a lock, where the file system has locks, while files are read and rewritten."""
 
     def sweep(self) -> None:
         """Remove what killed runs left."""
@@ -144,7 +144,7 @@ class _Folder:
                 os.close(handle)
 
     def sweep(self) -> None:
-        """Only names of our own that no living run holds; an old set whose replacement never came is given back."""
+        """Remove our own names that no living run holds; put back an old set whose replacement never came."""
         if not self.root.is_dir():
             return
         for parent, folders, files in os.walk(self.root):
@@ -238,4 +238,4 @@ class _Remote:
         return contextlib.nullcontext()
 
     def sweep(self) -> None:
-        """Nothing lies about: what is not whole has no manifest and is replaced."""
+        """Nothing to remove: a set that is not complete has no manifest, and is replaced."""

@@ -45,7 +45,7 @@ class Task:
         output: root of the library's output: a folder, or an address that fsspec knows.
         reading: arguments of ``read_texture_set``, those of ``textures.READING_OPTIONS``.
         method, preset, bits, compress: as in ``brdffit.pipeline.bake_to_folder``.
-        options: fields of ``BakeOptions`` that differ from its defaults.
+        options: options of the method that were given, by name.
         code: digest of the sources that are to bake it, see ``state.code_digest``.
     """
 

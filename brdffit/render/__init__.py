@@ -1,1 +1,1 @@
-"""Lighting what a pyramid holds: shading in plain numpy, and the picture that compares a bake with the truth."""
+"""The renderer: references, pictures of appearances, lights, scenes, metrics, and the preview of a bake."""

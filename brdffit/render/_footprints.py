@@ -18,14 +18,14 @@ Progress = Callable[[int, int], None]
 
 
 class Budget(NamedTuple):
-    """Samples of a footprint: at least, for each base texel of its area, at most."""
+    """Samples of a footprint: the least, those for each base texel of its area, and the most."""
 
     least: float
     per_texel: float
     most: float
 
     def times(self, factor: float, floor: int) -> Budget:
-        """More or fewer of all, but never fewer than ``floor`` at least."""
+        """All three times ``factor``; the least and the most are not below ``floor``."""
         least, per_texel, most = self.least * factor, self.per_texel * factor, self.most * factor
         return Budget(max(least, floor), per_texel, max(most, floor))
 
@@ -41,7 +41,7 @@ PIXELS_PER_PIECE = 4096
 
 
 class Footprints(NamedTuple):
-    """Distinct footprints: (G, 6) centre and axes; pixels in their order, where each one's begin; a key for jitter."""
+    """Distinct footprints (G, 6): centre and axes; pixels in their order, and where each one's begin; jitter keys."""
 
     place: NDArray
     order: NDArray
@@ -81,7 +81,7 @@ def _area(place: NDArray) -> NDArray:
 def sample_count(place: NDArray, budget: Budget) -> NDArray:
     """Strata (across, down) (G, 2) of one half of each footprint's samples."""
     wanted = np.clip(_area(place) * budget.per_texel, budget.least, budget.most)
-    # As many an axis as the footprint is long, rounded to powers of the square root of 2: few different rules.
+    # Per axis in proportion to the footprint's length, rounded to powers of the square root of 2: few different rules.
     axes = place[:, 2:].reshape(-1, 2, 2)
     length = np.maximum(np.linalg.norm(axes, axis=1), 1e-9)
     ratio = np.clip(np.sqrt(length[:, 0] / length[:, 1]), 1.0 / 16.0, 16.0)

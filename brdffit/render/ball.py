@@ -24,11 +24,11 @@ from brdffit.render.reference import render_halves
 from brdffit.render.scenes import Scene
 from brdffit.svbrdf import Svbrdf
 
-#: Base texels along a side that a ball shows; of a larger base a part is looked at, whatever its size.
+#: Most base texels along a side that a ball shows; of a larger base only a part is shown.
 MOST_TEXELS = 1024
-#: Samples of a footprint in the reference: at least, for each base texel, at most.
+#: Samples of a footprint in the reference.
 _SAMPLES = Budget(48, 12, 128)
-#: Directions to light of an appearance that is drawn in numpy: enough for a glance, and some noise.
+#: Directions of light for an appearance that is drawn in numpy: enough for a glance, at the cost of some noise.
 _DIRECTIONS = 16
 
 # Direction (x right, y up, z to the viewer), irradiance over pi, angular radius: a key lamp and a rim lamp, and for sky

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from brdffit.colour import LUMINANCE
 from brdffit.render.sampling import R2, lobe_rows
 
-#: Share of samples that follows no luminance, and samples in the table.
+#: Share of the samples that are drawn evenly, whatever the luminance, and samples in the table.
 _EVENLY, _TABLE = 1e-3, 1 << 15
-#: Size in radians of the pixels that diffuse light is summed over, and planes that are done at a time.
+#: Size in radians of the blocks that diffuse light is summed over, and planes that are computed at a time.
 _COARSE, _FRAMES = 0.12, 1024
 
 
@@ -96,7 +96,7 @@ class Environment:
         return np.stack([level * np.sin(azimuth), y, -level * np.cos(azimuth)], -1), np.stack([row, column], -1)
 
     def turned(self, frame: NDArray) -> NDArray:
-        """Frames (n, 3, 3) as they stand to ``radiance``: turning the surroundings turns the surface the other way."""
+        """Frames (n, 3, 3) relative to ``radiance``: turning the surroundings turns the surface the other way."""
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         turn = np.array([(cos, 0.0, sin), (0.0, 1.0, 0.0), (-sin, 0.0, cos)])
         return np.ascontiguousarray(frame @ turn)
@@ -112,7 +112,7 @@ class Environment:
 
     @cached_property
     def table(self) -> NDArray:
-        """What the compiled loops draw from, (TABLE_ROWS, n) float32: see ``_environment_kernels``."""
+        """(TABLE_ROWS, n) float32, the samples that the compiled loops use: see ``_environment_kernels``."""
         direction, at = self.samples(_TABLE)
         row, column = at.T
         radiance, density = self.radiance[row, column], self.density[row, column]

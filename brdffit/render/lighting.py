@@ -1,4 +1,4 @@
-"""What lights a picture, and its pixels, as the compiled loops read them."""
+"""The light of a picture, and its pixels, as the compiled loops read them."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from brdffit.render.terms import Terms
 _NO_HARMONICS = np.zeros((1, 2, 9, 3), np.float32)
 
 
-#: How lamps are drawn: by directions in their discs, or as points under lobes that are as much wider.
+#: How lamps are drawn: by directions in their discs, or as points while lobes are widened to make up for it.
 LAMPS = ("sampled", "widened")
-#: A disc of angular radius r moves the half vector within r / 2; of all GGX lobes, scale held, one whose alpha^2 is
-#: larger by this times (r / 2)^2 is nearest to a GGX lobe that it blurs (0.75 at r / 2 = alpha / 4, 0.70 at 4 alpha).
+#: A disc of angular radius r moves the half vector within r / 2 and so blurs a lobe. The GGX lobe of the same scale
+#: that is nearest to a blurred GGX lobe has an alpha^2 larger by this times (r / 2)^2 (0.75 at r / 2 = alpha / 4, 0.70
+#: at 4 alpha).
 _WIDENING = 0.74
 
 
 class Lit(NamedTuple):
-    """What lights a picture and which terms of the BRDF are lit; ``lamps`` is one of `LAMPS`."""
+    """The light of a picture, and the terms of the BRDF that are simulated; ``lamps`` is one of `LAMPS`."""
 
     lights: Lights | None
     environment: Environment | None
@@ -68,7 +69,7 @@ class Pass(NamedTuple):
     sampled: bool
 
     def of_pixels(self, part: slice) -> tuple[NDArray, ...]:
-        """What the loop reads of some pixels."""
+        """The loop's arrays for some pixels."""
         return tuple(each[part] for each in self.pixels)
 
 

@@ -20,7 +20,7 @@ _TABLE = 1 << 15
 
 @dataclass(frozen=True)
 class Lights:
-    """Lights infinitely far away: points, the hardest that a texture can be lit with, or discs of even radiance.
+    """Lights infinitely far away: points, which give the hardest light, or discs of even radiance.
 
     Attributes:
         direction: (n, 3) float32 unit vectors to the lights' middles, in the world.
@@ -85,7 +85,7 @@ class Lights:
 
     @cached_property
     def table(self) -> NDArray:
-        """What the compiled loops draw from, (TABLE_ROWS, n) float32: see ``_environment_kernels``.
+        """(TABLE_ROWS, n) float32, the samples that the compiled loops use: see ``_environment_kernels``.
 
         Radiance and density are those of all discs that a direction lies in.
         """
@@ -123,8 +123,8 @@ class Lights:
 
 
 def few() -> Lights:
-    """Four small lights: a warm key, a cool fill and a low one before a plane that faces the viewer, and one behind it,
-    which a plane that runs to the horizon mirrors."""
+    """Four small lights: a warm key, a cool fill and a low one in front of a plane that faces the viewer, and one
+    behind it, which a plane that runs to the horizon mirrors."""
     return Lights(
         np.array([(-0.35, 0.45, 1.0), (0.75, 0.10, 0.80), (0.10, -0.60, 0.75), (0.05, 0.50, -0.85)]),
         np.array([(3.2, 3.0, 2.7), (1.3, 1.5, 1.8), (0.9, 0.8, 0.7), (2.6, 2.6, 2.8)]),

@@ -1,4 +1,4 @@
-"""How far a picture is from its reference; every figure a plain number, every formula in its docstring.
+"""How far a picture is from its reference; every figure is a plain number, with its formula in its docstring.
 
 Pictures are (h, w, 3) linear radiance unless it says "displayed", which is what a screen shows, in [0, 1]. Libraries
 that take long to load (FLIP, scikit-image) are imported where they are used.
@@ -19,14 +19,14 @@ from brdffit.colour import LUMINANCE, encode_srgb
 EPSILON = 1e-6
 #: Mean luminance of a displayed reference, before the curve; highlights then stay below white.
 KEY = 0.22
-#: Exposures that HDR-FLIP looks at, within the range it finds by itself; one a stop would cost many times as much.
+#: Exposures that HDR-FLIP compares, within the range that it finds itself; one a stop would cost many times as much.
 _EXPOSURES = 3
 #: Luminance, in units of the exposed scene, that the curve takes to white.
 WHITE = 6.0
 
 
 class PictureFigures(NamedTuple):
-    """What is said of one picture: decibels, relative squared error, FLIP in [0, 1] (0: the same), SSIM, energy."""
+    """Figures of one picture: SNR in dB, relative squared error, FLIP in [0, 1] (0: the same), SSIM, energy kept."""
 
     snr_db: float
     relative_l2: float
@@ -194,7 +194,7 @@ def _squares_of_halves(picture: NDArray, halves: NDArray) -> tuple[float, float]
     own = picture if picture.ndim == halves.ndim else np.broadcast_to(picture, (2, *picture.shape))
     if halves.shape != own.shape or len(halves) != 2:
         raise ValueError(f"halves have shape {halves.shape}, expected {own.shape}")
-    # Either half may be held against either of the other's: the mean of both ways is less noisy.
+    # Either half of the picture may be paired with either half of the reference: the mean of both ways is less noisy.
     one, other = own - halves, own - halves[::-1]
     error = 0.5 * float(np.sum(one[0] * one[1]) + np.sum(other[0] * other[1]))
     return error, float(np.sum(halves[0] * halves[1]))

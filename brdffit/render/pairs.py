@@ -1,7 +1,7 @@
-"""The papers' figure: squared error of radiance over random pairs of light and viewer, at some texels of a level.
+"""The papers' error: squared error of radiance over random pairs of light and viewer, at some texels of a level.
 
-Unlike the half-angle error it takes the whole BRDF, or what of it is switched on. With the lobe alone and
-cosine-distributed directions both are one number, computed in two ways.
+Unlike the half-angle error it takes the whole BRDF, or the terms that are switched on. With the lobe alone and
+cosine-distributed directions both errors are equal, computed in two ways.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def pair_errors(
 
     l and v are independent and cosine-distributed about the plane's normal, or as ``directions`` say. The truth is
     estimated twice, independently, and the error is the mean of (M - A)(M - B): its own noise adds nothing on average
-    (so a single texel's error may come out slightly negative; means over texels are what is meant to be read).
+    (so a single texel's error may come out slightly negative; read means over texels).
 
     Args:
         truth: the full-resolution SVBRDF, or any ``Truth``.

@@ -28,9 +28,9 @@ from brdffit.render.scenes import Scene, level_of_detail
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
 
-#: Directions of either kind that a half of a picture takes: of a lobe in the compiled loops, and in the path in numpy.
+#: Directions of either kind that a half of a picture takes: in the compiled loops, and in the path in numpy.
 _DIRECTIONS, _PLAIN_DIRECTIONS = 512, 64
-#: Added to the seeds of blocks, beyond all those of a reference: the samples of both are independent.
+#: Added to the seeds of blocks, so that they exceed those of a reference and the samples of both are independent.
 _PART = 1 << 24
 #: Pixels that the path in numpy draws at a time.
 _PIXELS = 2048
@@ -104,7 +104,7 @@ def render_appearance_halves(
 
 
 def appearance_of(given: Drawable) -> Appearance:
-    """The appearance that a pyramid or a list of levels is; an appearance as it is."""
+    """A pyramid or a list of levels as an appearance; an appearance is returned as it is."""
     if isinstance(given, Pyramid):
         return LobePyramid([level.svbrdf for level in given.levels])
     return LobePyramid(list(given)) if isinstance(given, Sequence) else given
@@ -121,7 +121,7 @@ def _draw_lobes(
     packed = pack_levels(levels[finest : max(coarsest, finest) + 1])
     detail -= finest
     base_size = np.array(scene.base_size[::-1], np.float64)
-    # What is the same for both halves, and each half's own.
+    # The part that both halves share, then each half's own.
     found = np.zeros((3, len(detail), 3))
     each_pass = passes(lit, packed.model, pixels.key, pixels.view, pixels.frame, pyramid_loop, environment_pyramid_loop)
 

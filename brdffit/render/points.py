@@ -1,8 +1,8 @@
-"""Any truth, asked point by point: what the reference and the pairs of directions need where there is no SVBRDF.
+"""Any truth, evaluated point by point: for the reference and the pairs of directions where there is no SVBRDF.
 
 Points lie in strata of a pixel's footprint, one in each, as in the compiled loops; a truth says what each reflects. A
 light that has a size is sampled by multiple importance (Veach and Guibas 1995, balance heuristic): one direction of the
-light and one of a broad lobe about the mirror direction of the plane, for a truth tells nothing of its own lobes.
+light and one of a broad lobe about the mirror direction of the plane, since a truth does not tell its own lobes.
 Directional lights and directions of an environment below the plane light nothing, as everywhere.
 """
 
@@ -31,9 +31,9 @@ from brdffit.render.lighting import Lit, Pixels
 from brdffit.render.lights import Lights
 from brdffit.render.scenes import Scene
 
-#: Points that a truth is asked about at a time.
+#: Points that a truth evaluates at a time.
 _POINTS = 1 << 16
-#: The broad lobe: alpha of a GGX lobe about the plane's normal, and the part of directions that it draws; the rest is
+#: The broad lobe: alpha of a GGX lobe about the plane's normal, and its share of the directions; the rest are
 #: cosine-distributed.
 _BROAD, _SHARE = 0.4, 0.6
 
@@ -112,7 +112,7 @@ def picture_of_points(
 
 
 def directions_per_point(lit: Lit) -> int:
-    """How often a truth is asked about each point, at most."""
+    """Most evaluations of a truth at each point."""
     points = 0 if lit.lights is None else int((lit.lights.radius == 0.0).sum())
     return points + (1 if lit.discs is not None else 0) + (2 if lit.environment is not None else 0)
 

@@ -54,11 +54,11 @@ def make_preview(
 
     Args:
         base: what was baked.
-        before: its averaged channels.
-        after: what is shown beside them.
+        before: the averaged channels of ``base``.
+        after: the result that is shown beside them.
         title: name of the set.
-        name: of the method; None takes it from ``after``.
-        levels: MIP levels shown, near to far; those that there are not are left out (one is always shown).
+        name: of the method; "" takes it from ``after``.
+        levels: MIP levels shown, near to far; those that do not exist are left out (one is always shown).
         ball: diameter of a ball in pixels.
         threads: worker threads; None takes one a core. The picture does not depend on it.
 
@@ -77,13 +77,13 @@ def make_preview(
 
 
 def _depth(drawn: Drawable, size: tuple[int, int]) -> int:
-    """How many levels something that is drawn has; an appearance that says nothing of it has all."""
+    """The number of levels of a result; of an appearance without ``levels``, all down to 1x1."""
     levels = getattr(appearance_of(drawn), "levels", None)
     return len(level_sizes(size)) if levels is None else len(levels)
 
 
 def _heading(name: str) -> str:
-    """A method's name as it is shown; our own is the program's."""
+    """A method's name as shown; our own method has the program's name."""
     return "brdffit" if name in ("bfgs", "") else name.rpartition(":")[2]
 
 

@@ -7,8 +7,8 @@ trilinear value of its levels.
 
 The average is taken over strata of the footprint, one point jittered inside each by a hash of footprint and stratum: no
 texel grid beats against the strata, the estimate has no bias at any number of samples, and the picture is the same
-whatever the threads. Two such sets, independent of each other, make a picture, and their difference is its own error.
-Pixels that show the same part of a texture that repeats share their samples.
+whatever the threads. Two such sets, independent of each other, make a picture, and their difference gives the picture's
+own error. Pixels that show the same part of a texture that repeats share their samples.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ __all__ = ["SAMPLES", "Budget", "Progress", "Reference", "pair_errors", "render_
 
 
 class Samples(NamedTuple):
-    """A preset: the noise that is aimed at, as SNR of the whole picture, the samples to begin with, and what is paid.
+    """A preset: the noise aimed at, as SNR in dB of the picture, the samples to begin with, and the limits of cost.
 
     Some pixels at random are rendered with ``budget`` first; what their noise lacks decides how many times as many
-    samples the picture takes. ``cost`` bounds them, in samples shaded (see ``_cost``), for a picture that shares no
-    footprints could cost any time; but not below ``least`` times the budget.
+    samples the picture takes. ``cost`` bounds them, in samples shaded (see ``_cost``), since a picture whose pixels
+    share no footprints could take any time; but not below ``least`` times the budget.
     """
 
     noise_db: float
@@ -73,8 +73,8 @@ SAMPLES = {
     "standard": Samples(35.0, Budget(256, 16, 4096), 6e8, 0.25),
     "fine": Samples(45.0, Budget(1024, 64, 16384), 1e10, 0.25),
 }
-#: What it costs to make a sample, and to shade one from two directions of an environment, in units of shading it under
-#: a few lights; and to ask a truth about a point under one light.
+#: Cost of making a sample, of shading one from two directions of an environment, and of evaluating a truth at a point
+#: under one light; the unit is shading a sample under a few lights.
 _FILL_COST, _ENVIRONMENT_COST, _POINT_COST = 16.0, 6.0, 32.0
 _PILOT_PIXELS = 768
 
@@ -177,7 +177,7 @@ def render_halves(
         preset = SAMPLES[one_of("number of samples", samples or "standard", tuple(SAMPLES))]
         budget = preset.budget.times(1.0, least)
         pilot = _average(drawn, _some_pixels(scene), lit, chosen, budget, threads, None)
-        # Independent samples: a quarter of the noise power wants four times as many.
+        # Samples are independent: a quarter of the noise power takes four times as many.
         missing = 2.0 ** math.ceil((preset.noise_db - min(pilot.noise_db, 99.0)) / (10.0 * math.log10(2.0)))
         paid = preset.cost / _cost(drawn, scene, preset.budget, lit)
         budget = preset.budget.times(max(min(max(missing, 1.0), paid), preset.least), least)
@@ -229,7 +229,7 @@ def _picture_of_texels(
 
 
 def _cost(drawn: Packed | Truth, scene: Scene, budget: Budget, lit: Lit) -> float:
-    """What a picture costs with this budget, in samples shaded under a few lights."""
+    """The cost of a picture with this budget, in samples shaded under a few lights."""
     pixels = Pixels(scene)
     if isinstance(drawn, Packed):
         shading, tile = _ENVIRONMENT_COST if lit.sampled else 1.0, drawn.tile

@@ -1,4 +1,4 @@
-"""Well spread numbers for tables of directions that the compiled loops draw from."""
+"""Low-discrepancy numbers for the tables of directions of the compiled loops."""
 
 from __future__ import annotations
 

@@ -92,12 +92,13 @@ def plane(
 
 
 def tilted(base_size: tuple[int, int], level: float, pixels: tuple[int, int], degrees: float) -> Scene:
-    """A plane seen from afar at an angle to its normal, from below in the picture; lights stand by the plane.
+    """A plane seen from afar at an angle to its normal, from the side of -y; lights are given in the plane's own axes.
 
     A pixel is one texel of ``level`` wide, and on the plane longer than that by 1 / cos.
 
     Args:
-        base_size, level, pixels: as in ``plane``. degrees: between the view and the normal.
+        base_size, level, pixels: as in ``plane``.
+        degrees: between the view and the normal.
     """
     x, y = _pixel_grid(pixels, (0.0, 0.0))
     scale, cosine = _texel_size(base_size, level), math.cos(math.radians(degrees))
@@ -188,7 +189,7 @@ def sphere(
 
 
 def side_by_side(parts: Sequence[Scene]) -> Scene:
-    """One scene of several of one height: one call renders all, and the reference shades what they share once."""
+    """Join scenes of one height: one call renders all, and the reference shares samples of equal footprints."""
     arrays = ("centre", "axes", "view", "frame", "coverage")
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in arrays}
     return dataclasses.replace(parts[0], **joined)

@@ -1,4 +1,4 @@
-"""Which terms of the BRDF are lit; what is switched off is left out of the compiled loops, not multiplied by one."""
+"""The terms of the BRDF that are simulated; those switched off are left out of the compiled loops."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import dataclass, fields
 class Terms:
     """Terms of the BRDF; a term that is off is left out as if it were 1 (`lobe` and `diffuse`: 0).
 
-    With all of them on the radiance is that of ``shading.brdf``. With ``LOBE_ONLY`` it is rho D(h) exactly, the
-    function whose error the half-angle integral measures.
+    With all of them on the radiance is that of ``models.microfacet.brdf``. With ``LOBE_ONLY`` it is rho D(h) exactly,
+    the function whose error the half-angle integral measures.
 
     Attributes:
-        lobe: the lobe rho D(h) and what hangs on it.
+        lobe: the lobe rho D(h), with its masking and Fresnel factors.
         masking: G2 / (4 n.l n.v), height-correlated Smith masking and shadowing with its denominator.
         fresnel: Schlick's growth of the lobe, and loss of the diffuse part, towards grazing angles.
         diffuse: diffuse (1 - specular) / pi; without ``cosine`` it is what a facet turned to the light reflects.

@@ -1,1 +1,1 @@
-"""From records of a comparison to one HTML file: it draws, it computes nothing."""
+"""From the records of a comparison to one HTML file; nothing is baked or rendered here."""

@@ -8,7 +8,7 @@ from brdffit.report.plots import figure_of_axes, svg_of
 from brdffit.report.records import Comparison
 from brdffit.report.summary import DISTANCES, differences, fit_name
 
-#: Methods that were trained: each is held against all the others.
+#: Methods that were trained: each is compared with all the others.
 TRAINED = ("learned", "latent", "mipnet")
 _COLOURS = {"near": "#f2a65a", "mid": "#c8553d", "far": "#4a1942"}
 

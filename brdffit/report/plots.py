@@ -1,4 +1,4 @@
-"""Drawings of records: SVG by matplotlib, pictures as data addresses. Nothing is computed here but coordinates."""
+"""Drawings of records: SVG by matplotlib, and pictures as data URLs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _COLOURS = (
     "#333333",
 )
 _JPEG_QUALITY = 95
-#: Lobes are shown by the square root of their value, so that their feet are seen.
+#: Lobes are shown by the square root of their value, so that their tails are seen.
 _LOBE_POWER = 0.5
 
 
@@ -92,7 +92,7 @@ def landscape_figure(landscape: Any, title: str) -> Any:
         figure = MatplotlibFigure(figsize=(7.4, 5.2), layout="constrained")
         axis = figure.add_subplot()
         shown = np.log1p(landscape.error)
-        # As pixels in an SVG too: browsers add up the colours of its shaded triangles.
+        # Rasterised in an SVG too: browsers add up the colours of its Gouraud-shaded triangles.
         image = axis.pcolormesh(
             landscape.roughness, landscape.angle, shown, cmap="viridis", shading="gouraud", rasterized=True
         )
@@ -189,7 +189,7 @@ def lobe_cuts(view: LobeView) -> dict[str, list[list[float]]]:
     }
 
 
-#: What all drawings share. Text stays text: small files, and it can be searched and read aloud.
+#: Style of all drawings. Text stays text: files are small, and it can be searched and read aloud.
 _STYLE: Any = {
     "svg.fonttype": "none", "svg.hashsalt": "brdffit", "font.family": "sans-serif", "font.size": 9,
     "font.sans-serif": ["Helvetica", "Arial", "DejaVu Sans", "sans-serif"], "axes.titlesize": 9,
@@ -232,7 +232,7 @@ def _style(method: str, colours: Mapping[str, str], fit: str) -> dict[str, Any]:
 
 
 def _label_apart(axis: Any, points: Sequence[tuple[str, float, float]]) -> None:
-    """Names in a column at the right, as high as their points but never into each other, each with a thin line."""
+    """Names in a column at the right, at the height of their points but never overlapping, each with a thin line."""
     low, high = axis.get_ylim()
     step, last = 0.075 * (high - low), -np.inf
     for name, x, y in sorted(points, key=lambda point: point[2]):

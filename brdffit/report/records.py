@@ -1,4 +1,4 @@
-"""What a comparison found, as records: the one thing that the page is drawn from; written and read as JSON.
+"""The records of a comparison, written and read as JSON; the page is drawn from them alone.
 
 Pictures lie beside the records as PNG files and are named by their path relative to them. Decibels are capped at 99
 (JSON has no infinity); a figure that was not measured is null.
@@ -37,9 +37,10 @@ class Record(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Figures(Record, kw_only=True):
-    """What is said of one picture against its reference; see ``brdffit.render.metrics``.
+    """Figures of one picture against its reference; see ``brdffit.render.metrics``.
 
-    ``mse``: mean squared error of linear radiance, where a white matt surface has 1; of views that are lit so.
+    ``mse``: mean squared error of linear radiance, in views of a traced height, whose light gives a white matt plane
+    the radiance 1; else None.
     """
 
     snr_db: float
@@ -158,7 +159,7 @@ class SetResult(Record, kw_only=True):
 
 
 class MethodInfo(Record, kw_only=True):
-    """Name and summary, in the order of the tables; ``fit`` is the one that the others are held against."""
+    """A method's name and summary; ``fit`` marks the one that the others are compared with."""
 
     name: str
     summary: str
@@ -213,7 +214,7 @@ def read_records(path: str | Path) -> Comparison:
             f"'{path}' cannot be read: {error.strerror}; expected the {RECORDS} of a comparison."
         ) from error
     try:
-        # The format is told first: unknown fields of a later one would say less.
+        # The format is checked first: an error about an unknown field of a later one would be less clear.
         found = json.loads(text)["format"]
         if found != FORMAT:
             raise InputError(f"'{path}' is of format {found}, expected {FORMAT}: compare again, or update brdffit.")

@@ -1,4 +1,4 @@
-"""Means over sets of what the records hold: the tables of the page and of the terminal."""
+"""Means of the records over sets: the tables of the page and of the terminal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from brdffit.report.records import (
     View,
 )
 
-#: What the summary's columns stand under, and the lighting of its pictures (None: pairs of light and viewer).
+#: Headings of the summary's columns, and the lighting of their pictures (None: pairs of light and viewer).
 GROUPS: tuple[tuple[str, str | None], ...] = (
     ("light and viewer pairs", None),
     ("small lights", "small lights"),
@@ -160,7 +160,7 @@ def _shots(view: View) -> dict[str, Figures]:
 
 
 def _marked(rows: list[Overall], views: int) -> list[Overall]:
-    """The same, with what each is first in among those that are in every view."""
+    """The same rows with ``best`` filled in; only methods that are in every view compete."""
     whole = [row for row in rows if row.views == views and views]
     best: dict[str, set[str]] = {row.method: set() for row in rows}
     for name, sign in (("snr_db", 1), ("flip", -1), ("ssim", 1)):
@@ -176,7 +176,7 @@ def _marked(rows: list[Overall], views: int) -> list[Overall]:
 
 
 def groups(comparison: Comparison) -> list[tuple[str, str | None]]:
-    """Those of ``GROUPS`` that the comparison has pictures of, and the pairs."""
+    """The groups of ``GROUPS`` that the comparison has pictures of, and the pairs of light and viewer."""
     seen = {view.lighting for result in comparison.sets for view in result.views}
     return [(group, lit) for group, lit in GROUPS if lit is None or lit in seen]
 
@@ -230,7 +230,7 @@ def differences(comparison: Comparison, other: str, ours: str | None = None) -> 
 
 
 def fit_name(comparison: Comparison) -> str:
-    """The method that the others are held against."""
+    """The method that the others are compared with."""
     return next((info.name for info in comparison.methods if info.fit), comparison.methods[0].name)
 
 

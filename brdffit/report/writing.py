@@ -39,7 +39,7 @@ def write_report(comparison: Comparison, pictures: Mapping[str, NDArray], folder
             path = fresh / name
             path.parent.mkdir(parents=True, exist_ok=True)
             write_png(path, pictures[name])
-        # Records before the page: whatever goes wrong with the drawing, they hold all that it is made of.
+        # Records before the page: the page can be drawn again from them.
         (fresh / RECORDS).write_bytes(to_json(comparison))
         (fresh / PAGE).write_text(render_page(comparison, pictures), encoding="utf-8")
     return Path(folder) / PAGE

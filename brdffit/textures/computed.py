@@ -32,7 +32,7 @@ class ComputedMap(Map):
     """A map that is an expression over images; ``path`` is the document that says so.
 
     Attributes:
-        expression: what is evaluated; its images are brought to the largest of them.
+        expression: what is evaluated; its images are brought to the size of the largest.
     """
 
     expression: Expression | Picture | None = None
@@ -85,7 +85,7 @@ class ComputedMap(Map):
         return pixels, code_noise(32, True, "computed")
 
     def quantity(self, pixels: NDArray) -> tuple[NDArray, str]:
-        """(H, W) of its first channel; the mean of a colour."""
+        """(H, W): its first channel, or the mean of three."""
         return (pixels.mean(axis=2) if pixels.shape[2] == 3 else pixels[:, :, 0]), ""
 
     def _read_picture(self, picture: Picture) -> NDArray:

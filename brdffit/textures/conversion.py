@@ -21,7 +21,7 @@ from brdffit.textures.texture_set import TextureSet
 DIELECTRIC_F0 = 0.04
 #: What stands for a map that is missing.
 DEFAULT_BASE_COLOR, DEFAULT_ROUGHNESS = 0.5, 0.5
-#: Roles that a set can do without: what they would have added is left out.
+#: Roles whose maps may be left unread.
 UNREAD = ("normal", "height", "ao")
 
 
@@ -161,7 +161,7 @@ def _colours(texture_set: TextureSet) -> tuple[NDArray, NDArray]:
 
 
 def _is_level(texture_set: TextureSet) -> bool:
-    """Whether a specular map without a metallic one is a level: it is grey, and roughness goes with it, not gloss."""
+    """Whether a specular map without a metallic one scales a dielectric's F0: it is grey and beside a roughness map."""
     named = texture_set.maps.get("specular")
     if named is None or named.channel or "roughness" not in texture_set.maps:
         return False
@@ -173,7 +173,7 @@ def _is_level(texture_set: TextureSet) -> bool:
 
 
 def _dielectric(texture_set: TextureSet, is_level: bool) -> NDArray:
-    """F0 (h, w, 3 or 1) of what is no metal: of the index of refraction, scaled by a level and tinted by a colour."""
+    """F0 (h, w, 3 or 1) of the dielectric: by its index of refraction, scaled by a level and tinted by a colour."""
     factors = texture_set.factors
     f0 = np.full((1, 1, 1), float(factors.get("f0", DIELECTRIC_F0)), np.float32)
     if is_level and "specular" in texture_set.maps:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.texture_set import TextureSet
 
-#: Opacity below which a texel is not there at all, half a code of 8 bits; share of texels from which it matters.
+#: Opacity below which a texel has no surface at all, half a code of 8 bits; least share of unused texels.
 NOTHING, LEAST_SHARE = 0.5 / 255.0, 1e-4
 #: Share of an alpha channel's texels at 0 or 1 from which it is taken for coverage, where nothing says what it is.
 BIMODAL = 0.5
@@ -30,10 +30,10 @@ def looks_like_coverage(alpha: NDArray) -> bool:
 
 
 def covered(texture_set: TextureSet, svbrdf: Svbrdf, opacity: NDArray | None, unread: Collection[str] = ()) -> Svbrdf:
-    """``svbrdf`` with its opacity (h, w, of its size or one texel) and what lies under no surface filled.
+    """``svbrdf`` with its opacity (h, w, or one texel); texels without surface take their neighbours' values.
 
-    Without an opacity map, texels that are black in every map stand for those that nothing uses; maps of ``unread``
-    roles are not asked.
+    Without an opacity map, texels that are black in every map count as unused; maps of ``unread`` roles are not looked
+    at.
     """
     factor = float(texture_set.factors.get("opacity", 1.0))
     if opacity is not None and not (opacity >= 1.0 - NOTHING).all():
@@ -81,11 +81,12 @@ def _unused(texture_set: TextureSet, size: tuple[int, int], unread: Collection[s
 
 
 def _filled(svbrdf: Svbrdf, empty: NDArray) -> Svbrdf:
-    """Every map but opacity with the values of the nearest texel that is not ``empty`` where it is."""
+    """``svbrdf`` with the values of the nearest other texel where ``empty``, in every map but opacity."""
     if not empty.any() or empty.all():
         return svbrdf
     height, width = empty.shape
-    # Across the border too, where the texture goes on: half a period each way is as far as nearest can be.
+    # Search across the border too, where the texture tiles: the nearest texel is at most half a period away. 512 texels
+    # bound the memory.
     room = tuple(min(side // 2 + 1, 512) if svbrdf.wrap == "tile" else 0 for side in empty.shape)
     wide = np.pad(empty, [(each, each) for each in room], mode="wrap")
     from scipy import ndimage  # half a second to import, of use to few sets

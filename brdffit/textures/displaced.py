@@ -34,10 +34,10 @@ def grain(size: int, rng: np.random.Generator, cycles: float) -> NDArray:
 
 
 def cells(size: int, points: NDArray, bend: NDArray, stretch: float = 1.0) -> tuple[NDArray, NDArray]:
-    """Of each texel the nearest of some points on the torus, and how far the border to the next cell is.
+    """(size, size) index of each texel's nearest point on the torus, and the distance to the border of that cell.
 
-    ``bend`` (size, size, 2) moves the texels, in texture widths, so that borders are not straight; ``stretch`` says how
-    many times as wide as high cells are.
+    ``bend`` (size, size, 2) moves the texels, in texture widths, so that borders are not straight; cells are
+    ``stretch`` times as wide as high.
     """
     axis, box = (np.arange(size) + 0.5) / size, np.array([1.0, stretch])
     at = (np.stack(np.meshgrid(axis, axis), axis=2) + bend) % 1.0

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-#: Difference of two channels that are alike but for the rounding of a JPEG.
+#: Largest difference of two channels that are equal but for the rounding of a JPEG.
 _ALIKE = 3.0 / 255.0
 #: Length below which a stored normal is no direction: (127, 127, 127) and (128, 128, 128) decode to 0.007.
 ZERO_LENGTH = 0.02
-#: Smallest z of a unit normal, one code step at 8 bits: what lies lower has no slope that can be told.
+#: Smallest z of a unit normal, one code step at 8 bits: below it the slope is not determined.
 MIN_NORMAL_Z = 2.0 / 255.0
 
 
@@ -94,7 +94,7 @@ def x_in_alpha(pixels: NDArray) -> bool:
 
 
 def slopes_of_normals(vectors: NDArray) -> NDArray:
-    """(H, W, 2) slopes (-x/z, -y/z) of normals of any length (H, W, 2 or 3), z held from the horizon."""
+    """(H, W, 2) slopes (-x/z, -y/z) of normals of any length (H, W, 2 or 3), with z held at 0.1 or more."""
     xy = vectors[:, :, :2]
     constant = vectors.shape[2] < 3 or float(np.ptp(vectors[:, :, 2])) == 0.0
     z = rebuild_z(xy) if constant else vectors[:, :, 2]

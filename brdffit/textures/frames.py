@@ -65,7 +65,7 @@ class Frame:
 
     @property
     def is_integer(self) -> bool:
-        """Whether A holds integers and is no flattening, so that what tiles still tiles after it."""
+        """Whether A holds integers and is not singular, so that what tiles still tiles after it."""
         linear, _ = self.arrays
         return bool(np.abs(linear - np.rint(linear)).max() < _INTEGER and abs(np.linalg.det(linear)) > 0.5)
 

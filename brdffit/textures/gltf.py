@@ -1,8 +1,8 @@
 """The material of a glTF 2.0 file (.gltf, .glb) as a texture set.
 
-Read are metallic-roughness and specular-glossiness materials with their factors, samplers and texture transforms, and
-the extensions for anisotropy, specular and index of refraction. What a material has besides is named, not read;
-geometry is asked for nothing but which materials it uses.
+It reads metallic-roughness and specular-glossiness materials with their factors, samplers and texture transforms, and
+the extensions for anisotropy, specular and index of refraction. Other parts of a material are named in a note; of the
+geometry it reads only which materials it uses.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from brdffit.textures.gltf_files import image_of, read_document
 from brdffit.textures.texture_set import Map, TextureSet
 
 _WRAPS = {10497: "tile", 33071: "clamp", 33648: "mirror"}
-#: What else a material may have, by extension: what it is called here.
+#: Extensions of a material that are not read, and their names in the note about it.
 _LEFT_OUT = {
     "KHR_materials_clearcoat": "clearcoat",
     "KHR_materials_sheen": "sheen",
@@ -41,7 +41,8 @@ def read_gltf(path: Path, data: bytes, name: str | None = None) -> TextureSet:
     Args:
         path: the file, for sentences and for what lies beside it.
         data: its bytes.
-        name: of the material, or its number; None takes the first with a normal map among those that meshes use.
+        name: of the material, or its number; None takes, of those that meshes use, the first with a normal map, or the
+            first.
 
     Raises:
         InputError: when the file is damaged, requires what is not known, or has no material.
@@ -189,7 +190,7 @@ class _Reader:
             factors["specular_color"] = _colour(specular.get("specularColorFactor", [1, 1, 1]))
 
     def opacity(self, colour: dict | None, factor: float) -> None:
-        """Coverage: alpha of the base colour, unless the material is opaque, as materials are unless they say so."""
+        """Coverage: alpha of the base colour, unless the material is opaque, which is glTF's default."""
         mode = self.material.get("alphaMode", "OPAQUE")
         if mode == "OPAQUE":
             return
@@ -206,7 +207,7 @@ class _Reader:
             self.set.factors["anisotropy_rotation"] = _number(extension.get("anisotropyRotation", 0.0))
 
     def name_the_rest(self, extensions: dict) -> None:
-        """What the material has and is not read, in one sentence."""
+        """Note, in one sentence, the parts of the material that are not read."""
         left = [_LEFT_OUT.get(name, name) for name in extensions if name not in _READ]
         if "emissiveTexture" in self.material or any(self.material.get("emissiveFactor", [])):
             left.append("emission")

@@ -12,8 +12,8 @@ from urllib.parse import unquote
 
 from brdffit.errors import InputError
 
-#: Extensions that a file may require and still be read: what they say of geometry and light is not asked for, what
-#: they say of materials is read or named.
+#: Extensions that a file may require and still be read: those of geometry and light are not needed here, those of
+#: materials are read or named in a note.
 KNOWN_EXTENSIONS = frozenset(
     (
         "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness", "KHR_materials_anisotropy",

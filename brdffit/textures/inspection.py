@@ -69,7 +69,7 @@ class Inspection:
 
 
 def inspect_set(texture_set: TextureSet) -> Inspection:
-    """Read every map of a set, gather statistics, and say what looks wrong; a set that cannot be decoded is told too.
+    """Read every map of a set, gather statistics, and say what looks wrong, also why a set cannot be decoded.
 
     Raises:
         InputError: when a map cannot be read at all.
@@ -124,7 +124,7 @@ def _report(texture_set: TextureSet, role: str) -> MapReport:
 
 
 def _look_at_map(inspection: Inspection, texture_set: TextureSet, role: str) -> None:
-    """What one stored map tells before it is decoded."""
+    """Look at one map as stored, before it is decoded."""
     named = texture_set.maps[role]
     pixels, noise = named.read()
     if role != "normal":

@@ -47,7 +47,7 @@ _SHADERS: dict[str, dict[str, str]] = {
         "base_color": "baseColor", "roughness": "roughness", "metallic": "metallic",
     },
 }  # fmt: skip
-#: Weights of layers that are not read: named where they are not zero.
+#: Weights of layers that are not read; a note names those that are not zero.
 _LAYERS = {
     "standard_surface": ("coat", "sheen", "transmission", "subsurface", "emission", "thin_film_thickness",
                          "specular_anisotropy"),
@@ -89,7 +89,8 @@ def read_materialx(path: Path, data: bytes, name: str | None = None) -> TextureS
     Args:
         path: the document, for sentences and for what lies beside it.
         data: its bytes.
-        name: of the material or of its shader; None takes the first whose shader is understood.
+        name: of the material or of its shader; None takes, of those whose shader is understood, the first with a
+            connected input, or the first.
 
     Raises:
         InputError: when the document is damaged or has no surface shader that is understood.
@@ -309,7 +310,7 @@ class _Reader:
             self.set.alpha_cutoff = float(cutoff.value.flat[0]) if isinstance(cutoff, Constant) else 0.5
 
     def name_layers(self) -> None:
-        """Layers that the shader has and that are not read, in one sentence."""
+        """Note, in one sentence, the layers of the shader that are not read."""
         left = []
         for name in _LAYERS[self.kind]:
             if name == "coat" and self.coat_is_specular:

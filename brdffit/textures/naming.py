@@ -1,8 +1,8 @@
 """Roles of the maps of a texture set, told from file names.
 
 Names are split at separators and at changes of case; resolution and file-type words are dropped wherever they stand;
-the role is the longest known phrase that ends the rest. It is told by what differs between the names of one set: a word
-that stands in all of them is no role, a picture that bears but their common stem is a preview. Conventions covered:
+the role is the longest known phrase that ends the rest. Only what differs between the names of one set counts: a word
+that all of them have is no role, and a picture named by their common stem alone is a preview. Conventions covered:
 ambientCG, the older CC0Textures, Poliigon, Poly Haven, Unreal, Unity, Substance, glTF, bare role names, and a second
 role in the alpha channel (``alb_ht``, ``nrm_rgh``).
 """
@@ -79,13 +79,14 @@ def packed_roles(word: str) -> tuple[str | None, ...] | None:
 def name_tokens(stem: str) -> list[str]:
     """Lower-case words of a file's stem without resolution and file-type words.
 
-    Numbers stay between words, so that "rusty_metal_05_rough" does not join to "metal rough", and go at the end.
+    Numbers between words are kept, so that "rusty_metal_05_rough" does not join to "metal rough"; those at the end are
+    dropped.
     """
     stem = re.sub(r"ORDp", "Ordp", stem)
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=\d)(?=[A-Z][a-z])", " ", stem)
     tokens = [token.lower() for token in re.split(r"[^A-Za-z0-9]+", spaced) if token]
     kept = [token for token in tokens if not NOISE.fullmatch(token)]
-    # "NormalMap" and "MaskMap": the word alone is noise, the phrase is not.
+    # "MaskMap" is a packing, though "map" alone says nothing.
     for i in range(len(tokens) - 1):
         if tokens[i] + tokens[i + 1] in ("maskmap",):
             return [*[token for token in kept if token != "mask"], "maskmap"]
@@ -186,7 +187,7 @@ def _is_layer(words: list[str], used: int, shared: set[str]) -> bool:
 def _without_previews(
     found: list[NamedMap], tokens: dict[str, list[str]], stems: dict[str, str], notes: list[str]
 ) -> list[NamedMap]:
-    """Without pictures that bear but the stem of two or more other files, or a word for previews."""
+    """Leave out pictures named by the stem of two or more other files alone, or with a word for previews."""
     owners = Counter(stems[file] for file in {named.file for named in found})
     previews = {
         named.file
@@ -277,7 +278,11 @@ def _resolution(file: str) -> int:
 
 
 def _choose(found: list[NamedMap], notes: list[str]) -> dict[str, NamedMap]:
-    """One file a role: GL before DX, a map of its own before a packed one, the longer word before the shorter."""
+    """One file a role, by rank.
+
+    GL goes before DX, a map of its own before a packed one, an original before its copy, the larger resolution before
+    the smaller, EXR, TIFF and PNG before other formats, the longer word before the shorter.
+    """
     rank = {"gl": 0, "dx": 1, "": 2}
     formats = ("exr", "tif", "tiff", "png")
     maps: dict[str, NamedMap] = {}

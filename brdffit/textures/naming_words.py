@@ -1,4 +1,4 @@
-"""The words that names of texture maps are made of: roles, packings, layers, and what says nothing."""
+"""The words in names of texture maps: roles, packings, layers, and words without a meaning."""
 
 from __future__ import annotations
 
@@ -77,14 +77,14 @@ NOISE = re.compile(
     r"\d{1,2}k|\d+x\d+|png|jpe?g|exr|tiff?|tga|bmp|webp|hdr|dds|\d+bits?|maps?|tex|texture|seamless|tileable|raw"
     r"|linear|srgb|lossless|hires|lowres|copy|kopie|copia"
 )
-#: What stands before a role's word, or for it, in the names of layers and of mesh maps that are no part of the surface.
+#: Words before a role's word, or in its place, that mark layers and mesh maps, which are no part of the surface.
 LAYERS = frozenset(
     "emissive emission emit emissivecolor glow selfillumination illum lightmap sheen fuzz coat clearcoat cc coating"
     " transmission translucency subsurface sss scattering scatter thickness iridescence id ids matid materialid colorid"
     " idmap bent worldspace world ws objectspace object os curvature cavity position pos detail microdetail secondary"
     " flow edge edges".split()
 )
-#: What makes a picture a preview of the whole.
+#: Words that mark a picture as a preview of the whole.
 PREVIEWS = frozenset("preview thumb thumbnail render sphere ball icon cover sample".split())
 #: A variant of the map before it.
 VARIANT = re.compile(r"var\d+|v\d{1,2}")

@@ -1,4 +1,4 @@
-"""What the codes of a normal map cannot tell from a flat one, and the map without it.
+"""The quantisation noise of a normal map (what its codes cannot tell from a flat map), and the map without it.
 
 An integer normal map with code step q (2/255 at 8 bits) cannot tell a toggle of one code from a flat map; the variance
 of a 50/50 toggle is q^2 / 4 on each axis. Each texel has this much variance as a budget, and it is taken from the
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 CODE_STEP = {8: 2.0 / 255.0, 16: 2.0 / 65535.0}
 #: How far one code of Y, Cb, Cr moves red and green (ITU-T T.871).
 _JPEG_TO_RED, _JPEG_TO_GREEN = (1.0, 0.0, 1.402), (1.0, 0.344136, 0.714136)
-#: Headroom for rounding when the detail of a dithering map is compared with what is left of its budget, and with all.
+#: Headroom for rounding when the detail of a dithering map is compared with the rest of its budget, and with all of it.
 _ROUNDING, _ROUNDING_OF_ALL = 1.0 + 1e-3, 1e-4
 
 

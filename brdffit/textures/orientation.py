@@ -94,7 +94,7 @@ def measured_evidence(texture_set: TextureSet) -> list[Evidence]:
     slope = encoding.slopes_of_normals(normal.vectors(pixels[:_CROP, :_CROP])[0])
     found = []
     height = texture_set.maps.get("height")
-    # A slope under a code step is no evidence; chrome's dither correlates with nothing.
+    # A slope below a code step is no evidence: it is the dither of a flat map.
     if height is not None and height.size == normal.size and float(slope[:, :, 1].std()) > noise.step:
         values, _ = height.quantity(height.read()[0])
         x, y = height_agreement(values, slope)

@@ -32,7 +32,7 @@ class Maps:
 
 
 def frequencies(size: int) -> tuple[NDArray, NDArray]:
-    """|cycles| across and down of the half spectrum, (size, size // 2 + 1); across carries its sign in neither."""
+    """Absolute frequencies across and down, cycles a texture, of rfft2's half spectrum: (size, size // 2 + 1) each."""
     fx, fy = np.meshgrid(np.fft.rfftfreq(size, 1.0 / size), np.abs(np.fft.fftfreq(size, 1.0 / size)))
     return fx, fy
 
@@ -51,7 +51,7 @@ def periodic(offset: NDArray) -> NDArray:
 
 
 def scattered(rng: np.random.Generator, count: int) -> NDArray:
-    """Points on the unit torus, no two very close (the best of a few candidates each)."""
+    """(count, 2) points on the unit torus, no two very close: the farthest of six candidates is taken each time."""
     points = rng.random((1, 2))
     while len(points) < count:
         candidates = rng.random((6, 2))
@@ -62,7 +62,7 @@ def scattered(rng: np.random.Generator, count: int) -> NDArray:
 
 
 def step(radius: NDArray, edge: float, size: int) -> NDArray:
-    """0 inside, 1 outside, one texel wide."""
+    """0 inside of ``edge`` and 1 outside, with a linear ramp one texel wide; lengths are in texture widths."""
     return np.clip((radius - edge) * size + 0.5, 0.0, 1.0)
 
 

@@ -29,7 +29,7 @@ SETS = (
     "brushed-metal", "bumpy-mirror", "cliff", "glass-panes", "glossy-tiles", "grooved-record", "hammered-metal",
     "insulation-foam", "leaf-litter", "pebbles", "plaster-wall", "rocky-terrain", "turtle-shell", "woven-fabric",
 )  # fmt: skip
-#: Names of shipped sets that are made only where they are named: they are large.
+#: Names of shipped sets that are made only when named, since they are large.
 ON_DEMAND = ("brushed-strokes-4k",)
 
 
@@ -50,7 +50,8 @@ def read_recipe(path: Path) -> tuple[Recipe, Any]:
     """A recipe and its generator with parameters.
 
     Raises:
-        InputError: when the recipe cannot be read, or holds what no generator knows.
+        InputError: when the recipe cannot be read, or its parameters are not the generator's.
+        UnknownNameError: for an unknown generator.
     """
     try:
         recipe = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Recipe)

@@ -1,4 +1,4 @@
-"""A large set read a band of rows at a time: lobes of some rows, as all of the set at once would have them."""
+"""A large set read in bands of rows: the lobes of a band are those that reading the whole set would give."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from brdffit.textures.texture_set import Map, TextureSet
 
 #: Roles that are read in rows; the normals are those of the height.
 ROLES = ("base_color", "height", "roughness", "gloss", "metallic", "ao")
-#: Texels of a band, about; texels of level K that it has more of at its borders.
+#: Approximate texels of a band; width of its margin above and below, in texels of level K.
 BAND_TEXELS, MARGIN = 1 << 21, 2
 
 
@@ -45,7 +45,7 @@ class _Rows(Map):
         return len(self.indices), self.info.width
 
     def read(self) -> tuple[NDArray[np.float32], CodeNoise]:
-        """See ``Map.read``; that numbers are finite is seen before."""
+        """See ``Map.read``; finite numbers were checked before."""
         assert self.file is not None and self.indices is not None
         breaks = np.flatnonzero(np.diff(self.indices) != 1) + 1
         runs = np.split(self.indices, breaks)
@@ -62,7 +62,7 @@ class LargeSet:
         min_roughness: of ``to_svbrdf``.
 
     Raises:
-        InputError: where it is not so, or a map is damaged or holds what is no number.
+        InputError: where sizes are others, or a map is damaged or holds numbers that are not finite.
     """
 
     def __init__(self, texture_set: TextureSet, level: int, min_roughness: float) -> None:
@@ -100,7 +100,7 @@ class LargeSet:
         return min(self.rows, self.texture_set.size[0]) + (2 * MARGIN << self.level)
 
     def lobes(self, first: int, last: int) -> tuple[Svbrdf, int]:
-        """Rows ``first`` to ``last`` (excluded) as lobes, with a margin, and how many rows of it come before them.
+        """Rows ``first`` to ``last`` (excluded) as lobes with a margin, and how many rows of margin come before them.
 
         A set that tiles goes on around its border; one that does not ends there.
         """
@@ -126,7 +126,7 @@ class LargeSet:
         }  # fmt: skip
 
     def _settled(self, role: str, named: Map) -> Map:
-        """A map whose channel is chosen by all of its rows, as ``Map.quantity`` would; of the height also the scale."""
+        """Settle a map's channel by all of its rows, as ``Map.quantity`` does, and the scale of the height."""
         if role == "base_color" or role not in self._files:
             return named
         low, high, apart = math.inf, -math.inf, 0.0

@@ -1,4 +1,4 @@
-"""Brush strokes as a height map so fine that bristles show: what is made into roughness, not drawn."""
+"""Brush strokes as a height map fine enough to show bristles, which a bake from a deeper level turns into roughness."""
 
 from __future__ import annotations
 

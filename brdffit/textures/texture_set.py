@@ -33,7 +33,7 @@ class Map:
         as_rgba: whether the file stands for an RGBA picture (glTF): grey is spread over R, G and B, missing alpha is 1.
         frame: where in the picture it is read.
         encoding: "srgb" or "linear" of a colour, "signed" of normals in [-1, 1]; "" as is usual for the file's type.
-        constant: whether the picture holds one value throughout and is read as a single texel.
+        constant: whether the picture holds one value throughout, and so is read as a single texel.
     """
 
     role: str
@@ -119,8 +119,8 @@ class TextureSet:
         maps: one ``Map`` a role.
         normal_y: "gl" (+Y up in the picture) or "dx" (+Y down).
         normal_y_source: how ``normal_y`` is known: "given", "name", "convention", "height", "slopes" or "assumed".
-        wrap: "tile" or "clamp"; what a material file says of it, until it is settled.
-        alpha_cutoff: opacity below which a cut-out is not there; None where it is blended, or there is none.
+        wrap: "tile" or "clamp"; before ``reading.settle`` it may be another mode of a material file.
+        alpha_cutoff: opacity below which a mask is cut out; None where opacity is blended, or there is none.
         height_scale: texels between height values 0 and 1, or None to be derived.
         denoise_normals: whether the normals are read without what their codes cannot tell from flat (``noise_floor``).
         factors: constants that multiply a map, or stand for it: "base_color" (3,), "metallic", "roughness",

@@ -24,7 +24,7 @@ from brdffit.viewer.packing import pack_environment, pack_levels
 
 #: Largest side of a page's texture; of larger sets the middle is shown.
 MOST_TEXELS = 1024
-#: Sides above which a method's level 0 is not in the page: the source's serves, a quarter of the bytes is left.
+#: Side above which the page holds no level 0 of the methods: the source's is shown, which leaves a quarter.
 _WITH_LEVEL_0 = 512
 #: Rows of an environment in the page.
 _SKY_ROWS = 128
@@ -50,9 +50,9 @@ def view(
     Args:
         source: a texture set; or a folder that `brdffit bake` wrote, whose level 0 is then the reference.
         output: the page, an .html file.
-        methods: what is baked, each a panel; of a baked folder its own levels are shown.
+        methods: methods to bake by, a panel each; of a baked folder its own levels are shown.
         quality: of methods that have one.
-        preset: shows also what an engine gets of the first method's levels: encoded, compressed and decoded.
+        preset: adds a panel of the first method's levels as an engine reads them: encoded, compressed and decoded.
         environment: equirectangular picture of light from all around; None: one that the page draws.
         reading: how a set is read.
         progress: told of phases and texels.

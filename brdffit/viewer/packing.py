@@ -24,7 +24,7 @@ MOST_SPECULAR = 4.0
 
 
 def pack_levels(levels: Sequence[Svbrdf]) -> dict[str, Any]:
-    """What the page reads of some levels: sizes, and the packed planes of all, one level after another."""
+    """Levels as the page reads them: their sizes, and the packed planes of all, one level after another."""
     integers, bytes_ = bytearray(), bytearray()
     for level in levels:
         a, b, c = np.moveaxis(level.log_roughness, -1, 0)
