@@ -287,9 +287,12 @@ def finish(
     """Measure, draw and write a result; files are written while its figures and its picture are made.
 
     Args:
-        read: what was baked. baked: the result. phases: timed.
+        read: what was baked.
+        baked: the result.
+        phases: times the work.
         write: writes the result, a manifest and a picture (both functions, called last); returns the manifest.
-        draw: makes the picture. annotate, record: what more the manifest says.
+        draw: makes the picture.
+        annotate, record: further entries of the manifest.
 
     Returns:
         The manifest as written, and what was measured of each level.
@@ -326,7 +329,7 @@ def _without_normals(options: BakeOptions, without: Collection[str]) -> BakeOpti
 
 
 class Phases:
-    """Times phases and tells the listener."""
+    """Times phases and reports them to the listener."""
 
     def __init__(self, progress: ProgressListener | None = None, **seconds: float) -> None:
         self.progress = progress

@@ -37,8 +37,8 @@ def compare(
 
     Args:
         sources: folders of textures, .gltf, .glb or .mtlx files, TextureSets or Svbrdfs.
-        asked: what, and how closely; one for all sets, or one for each (of the same methods).
-        command: that does the same again, for the record.
+        asked: options of the comparison; one for all sets, or one for each (of the same methods).
+        command: command line that repeats the comparison, for the record.
         listener: told of phases and texels.
 
     Returns:

@@ -73,7 +73,9 @@ def compare_to_folder(
     """Compare sets and write the report; what was in the folder stays until all is done.
 
     Args:
-        sources: sets, see ``compare``. folder: of the report. asked: what, for all sets or for each.
+        sources: sets, see ``compare``.
+        folder: of the report.
+        asked: options for all sets, or one for each.
 
     Raises:
         InputError, UnknownNameError, OutputError: see ``compare`` and ``write_report``.

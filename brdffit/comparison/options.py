@@ -30,22 +30,22 @@ class CompareOptions:
     Attributes:
         methods: their names, in the order of the tables, see ``variant``; empty takes all that are installed.
         pixels: side of the pictures.
-        frames: of the slow rotation.
+        frames: number of frames of the slow rotation.
         texels: random texels of a level that are measured.
         pairs: of light and viewer at each of them; few of them meet the peak of a sharp lobe.
         lobes: texels whose lobes are shown, at each of three levels.
-        samples: preset of the reference.
+        samples: preset of the reference, see ``render_reference``.
         environment: an equirectangular picture in linear radiance (.hdr, .exr), or None for the one that ships.
-        lights: the small lights; None: those of the renderer.
-        lit: what lights the pictures, in turn.
-        terms: of the BRDF that are simulated.
+        lights: the small lights; None takes ``lights.few()``.
+        lit: lightings of the pictures, of ``LIGHTINGS``.
+        terms: terms of the BRDF that are simulated.
         unread: roles of maps that the fit is not given; the reference and the baselines see all.
         options: of the bake, each for those methods that have it, see ``brdffit methods NAME``.
         reading: how a folder is read, see ``read_texture_set``.
         through_probe: engine whose probe lights the views of the environment once more (`brdffit probe --for`), or
             None.
-        truth: makes what pictures and pairs of light and viewer are compared with, of a set as it was read; None: its
-            SVBRDF.
+        truth: makes, of a set as it was read, the truth that pictures and pairs of light and viewer are compared with;
+            None for the SVBRDF.
     """
 
     methods: tuple[str, ...] = ()

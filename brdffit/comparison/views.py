@@ -39,21 +39,21 @@ _MOST_CHANGE = 999.0
 
 @dataclass(frozen=True)
 class Studio:
-    """What is the same for all pictures of a comparison.
+    """The settings that all pictures of a comparison share.
 
     Attributes:
         pixels: side of a picture; two thirds of it under lamps and the environment.
-        frames: of the slow rotation.
+        frames: number of frames of the slow rotation.
         samples: preset of the reference ("draft", "standard", "fine"), see ``render_reference``.
         environment: around the surface.
         lights: the small lights.
         lamps: lights that have a size.
         probe: an engine's probe of the environment, by which views of the environment are drawn once more; None for
             none.
-        lit: what lights the pictures, in turn; stills of movement and slant are lit by the first.
-        terms: of the BRDF that are simulated.
+        lit: lightings of the pictures, of ``LIGHTINGS``; moving and slanted views have the first, the sphere the last.
+        terms: terms of the BRDF that are simulated.
         reach: first and last level that are seen; None: all.
-        pixel_filter: of the reference.
+        pixel_filter: pixel filter of the reference.
         threads: None takes all cores.
     """
 
@@ -220,7 +220,7 @@ def _pixels(studio: Studio, lit: str) -> tuple[int, int]:
 
 
 def figures_of(picture: NDArray, reference: Reference, exposure: float) -> Figures:
-    """``metrics.compare_pictures`` as a record, held to numbers that JSON knows; what is none counts as the worst.
+    """``metrics.compare_pictures`` as a record of finite numbers; what is not finite counts as the worst.
 
     ``picture``: (2, h, w, 3), its halves.
     """
@@ -260,6 +260,7 @@ def pictures_of(taken: Taken, exposure: float) -> dict[str, NDArray]:
 
 
 def take(base: Svbrdf | Truth, pyramids: Drawn, scene: Scene, lit: str, studio: Studio) -> Taken:
+    """Render a scene under one lighting: the reference, and every method's picture."""
     methods = {name: studio.method(levels, scene, lit) for name, levels in pyramids.items()}
     return Taken(studio.reference(base, scene, lit), methods)
 
@@ -301,7 +302,7 @@ def _shift_view(
 
 
 def _rotation_view(base: Svbrdf | Truth, pyramids: Drawn, studio: Studio, near: int) -> tuple[View, dict[str, NDArray]]:
-    """A column of pixels while the lights turn slowly, a frame beside the other.
+    """A column of pixels while the lights turn slowly, frame beside frame.
 
     The change is measured over several columns; the one that is shown is that in which the reference moves most.
     """

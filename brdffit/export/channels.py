@@ -226,13 +226,13 @@ class Channels:
 
 
 def alphas_from_gltf(roughness: NDArray, strength: NDArray) -> tuple[NDArray, NDArray]:
-    """(alpha_t, alpha_b) of roughness and strength as KHR_materials_anisotropy has them: the inverse of the above."""
+    """(alpha_t, alpha_b) of KHR_materials_anisotropy: the inverse of ``gltf_roughness`` and ``gltf_strength``."""
     minor = np.square(roughness)
     return minor + (1.0 - minor) * np.square(strength), minor
 
 
 def decode(channels: Mapping[str, NDArray], normal_y: str = "gl", factors: Factors = _PLAIN) -> Svbrdf:
-    """The SVBRDF that an engine makes of channels, by their names in `Channels`: the inverse of that class.
+    """The SVBRDF that an engine reads from channels, by their names in `Channels`: the inverse of that class.
 
     Args:
         channels: (H, W) each, linear, in [0, 1].

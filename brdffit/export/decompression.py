@@ -21,7 +21,7 @@ from brdffit.files.image_io import read_image
 
 
 def decode_blocks(pixels: PixelFormat, size: tuple[int, int], data: bytes) -> NDArray:
-    """(H, W, C) float32 codes of one level as its reader decodes them, [0, 1] for those that are no floats.
+    """(H, W, C) float32 of one level as a reader decodes it; in [0, 1] unless the format is of floats.
 
     sRGB stays encoded. C is 4 for wide formats, 1 for BC4, 2 for BC5.
     """

@@ -147,7 +147,7 @@ def foreign_file(folder: Path) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """The same of what JSON knows: numpy scalars and arrays, tuples and paths told plainly."""
+    """The same value in types that JSON has, without NumPy types and paths; numbers that are not finite as None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -60,7 +60,7 @@ def first_other(folder: Path, ours: Collection[str]) -> str | None:
 
 
 def check_writable(folder: str | Path, is_ours: Callable[[Path], str | None], needed_bytes: int = 0) -> None:
-    """See that ``folder`` can be made or replaced later, leaving nothing behind: to be asked before hours of work.
+    """Check, before hours of work, that ``folder`` can be made or replaced later; nothing is left behind.
 
     Args:
         folder: the output folder, which need not exist.

@@ -332,7 +332,7 @@ def _info_of(reader: oiio.ImageInput, path: Path) -> ImageInfo:
         is_float=base in ("half", "float", "double"),
         format=reader.format_name(),
         orientation=orientation,
-        # Of the formats that say which it is, TIFF is the one in which both are met.
+        # Of the formats that declare it, only TIFF is met with both associated and unassociated alpha.
         associated=is_tiff and names[-1:] == ("A",) and not spec.get_int_attribute("oiio:UnassociatedAlpha", 0),
         part=part,
         picked=picked,

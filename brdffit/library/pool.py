@@ -111,7 +111,7 @@ class Pool:
                 worker.tell("bake", job.task, job.threads)
         busy = [worker for worker in self.workers if worker.now is not None and worker.next is None]
         for worker in busy:
-            # Not at the very end: a set that waits for its reader is no gain where another worker is free for it.
+            # Not near the end: a set that is read ahead would wait for its worker while another is free for it.
             if len(self.pending) < len(self.workers) or worker.now is None or worker.now.alone:
                 continue
             worker.next = self._take(ahead=True)

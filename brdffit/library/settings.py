@@ -13,7 +13,7 @@
 
 Patterns are those of ``fnmatch`` on a set's place below the root (``*`` crosses slashes). Of several entries that
 match, later ones win; the command line wins over all. Beside method, preset, bits, compress and how a set is read, all
-options of methods may stand there (``brdffit methods NAME``); each is for the sets whose method has it.
+options of methods may stand there (``brdffit methods NAME``); each applies to the sets whose method has it.
 """
 
 from __future__ import annotations

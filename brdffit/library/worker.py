@@ -39,7 +39,7 @@ def _leave(number: int, _frame: object) -> NoReturn:
 
 
 def _listen(connection: Connection, inbox: queue.Queue[Any]) -> None:
-    """Messages into the inbox; the end of the connection is the end of the parent, however it came."""
+    """Put messages into the inbox; end the process when the connection ends, since the parent has then ended."""
     while True:
         try:
             inbox.put(connection.recv())

@@ -1,7 +1,7 @@
 """Compiled loops of the renderer: one shading loop, specialised for lobe and terms, under drivers compiled once.
 
 Physics and sources as in ``models/microfacet.py``. Samples of one footprint stand side by side in a block, one row a
-quantity, so that the loop over them vectorises; lights and pixels that share a footprint come round it.
+quantity, so that the loop over them vectorises; all lights and all pixels that share the footprint use the same block.
 """
 
 from __future__ import annotations

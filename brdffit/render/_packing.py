@@ -1,4 +1,4 @@
-"""What the compiled loops of the renderer read: textures packed texel by texel, and the loops themselves."""
+"""Textures packed texel by texel, as the compiled loops of the renderer read them, and the compiled loops."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def shading_kernels(model: str, terms: Terms) -> tuple[Any, Any]:
 
 @cache
 def environment_kernels(model: str, terms: Terms, lamps: bool = False) -> tuple[Any, Any, Any, Any]:
-    """(log_normalisation, shade_directions, shade_matt, look_around), as ``shading_kernels``; of lamps, or around."""
+    """(log_normalisation, shade_directions, shade_matt, look_around), for lamps or an environment."""
     loops = _environment_kernels
     look_around = loops.light_of_lamps if lamps else loops.light_of_picture
     _compile(look_around, loops.look_around_type.signature.args)

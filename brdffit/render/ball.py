@@ -1,7 +1,7 @@
 """The lit ball of preview and thumbnail: one studio for all, drawn by the same loops as every other picture.
 
-The texture is laid onto the ball from the front, one texel of a MIP level a pixel. What lies between texels and what a
-lobe is are the renderer's: a base is interpolated as the reference does it, a pyramid as an engine does it.
+The texture is laid onto the ball from the front, one texel of a MIP level a pixel. Interpolation and lobes are the
+renderer's: a base is interpolated as the reference does it, a pyramid as an engine does it.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Part(NamedTuple):
 
     @classmethod
     def of(cls, base_size: tuple[int, int], deepest: int) -> Part:
-        """All of a base, or of a large one whose levels are exact halves down to ``deepest`` a square."""
+        """All of a base; or a square of a large one, if its levels down to ``deepest`` are exact halves."""
         margin = 1 << deepest
         fits = all(side % margin == 0 and side >= MOST_TEXELS + 2 * margin for side in base_size)
         if not fits or MOST_TEXELS % margin:
@@ -70,7 +70,7 @@ class Part(NamedTuple):
         return cls(margin, (MOST_TEXELS, MOST_TEXELS), (MOST_TEXELS + 2 * margin,) * 2)
 
     def crop(self, level: Svbrdf, mip_level: int, whole: tuple[int, int]) -> Svbrdf:
-        """A level of a base of the size ``whole``, of the part alone."""
+        """A level of a base of the size ``whole``, cropped to the part."""
         if self.size == whole:
             return level
         height, width = (side >> mip_level for side in self.size)

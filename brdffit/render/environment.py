@@ -202,7 +202,7 @@ def _quadratic_basis(direction: NDArray) -> NDArray:
 
 
 def procedural_environment(height: int = 256) -> Environment:
-    """The environment that ships: a studio with two soft boxes, four small bright lamps, and a floor that fades.
+    """The environment that ships: a studio with three soft boxes, four small bright lamps, and a floor that fades.
 
     ``height`` rows and twice as many columns.
     """

@@ -147,8 +147,7 @@ def compare_pictures(
         reference: (h, w, 3) linear.
         exposure: of the displayed pictures, by default that of the reference.
         halves: (2, h, w, 3), independent estimates that the reference is the mean of: its noise, and that of a picture
-            that is given by halves, is then left out of the squared errors. (What is perceived of it stays in FLIP and
-            SSIM.)
+            that is given by halves, is then left out of the squared errors. (FLIP and SSIM still see it.)
     """
     exposure = exposure_of(reference) if exposure is None else exposure
     whole = picture if picture.ndim == reference.ndim else picture.mean(axis=0)

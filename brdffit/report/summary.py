@@ -45,16 +45,16 @@ class Row(NamedTuple):
 
 
 class Overall(NamedTuple):
-    """One method over all still views, means but where it says otherwise.
+    """One method over all still views.
 
     Attributes:
         method: its name.
         views: how many views it is in.
         snr_db, flip, ssim: means.
-        energy: least and most of what is kept of the reference's radiance.
+        energy: least and most share of the reference's radiance that a view keeps.
         firsts: in how many views it is first in SNR, FLIP and SSIM; ties count for all.
         worst: the view with the least SNR, as "set, view", and that SNR in dB.
-        seconds: of a bake.
+        seconds: mean of a bake, without its preparation.
         best: which of "snr_db", "flip" and "ssim" it is first in, and "snr_firsts", "flip_firsts", "ssim_firsts".
     """
 
@@ -112,7 +112,7 @@ def still_views(result: SetResult) -> list[View]:
 
 
 class ThroughProbe(NamedTuple):
-    """What a filtered probe costs a method, over views of the environment that are drawn both ways.
+    """The error that a filtered probe adds to a method, over views of the environment that are drawn both ways.
 
     Attributes:
         method: its name.
@@ -130,7 +130,7 @@ class ThroughProbe(NamedTuple):
 
 
 def through_probe(comparison: Comparison) -> list[ThroughProbe]:
-    """What the probe costs each method; [] where nothing was drawn through one."""
+    """The error that the probe adds to each method; [] where nothing was drawn through one."""
     rows = []
     for name in method_names(comparison):
         pairs = []

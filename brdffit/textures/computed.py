@@ -101,7 +101,7 @@ class ComputedMap(Map):
 
 
 def computed_frame(frames: Sequence[Frame]) -> Frame | None:
-    """The frame that images of one document are brought to: their own coordinates, if those will do, or one of them."""
+    """The frame for all images of a document: plain coordinates if all are integer, else one of them, or None."""
     plain = Frame()
     if all(frame.is_integer for frame in frames):
         return plain

@@ -1,8 +1,8 @@
-"""Which texels there is surface on: alpha, an opacity map, and the gutters of baked atlases.
+"""Which texels hold surface: alpha, an opacity map, and the gutters of baked atlases.
 
 What a set holds where nothing is drawn (the black beyond a leaf, the gutters between the islands of an atlas) is no
-part of the material. It weighs nothing in any level, and at level 0 takes the values of the nearest texel that counts,
-so that what interpolates across the edge finds nothing dark there.
+part of the material. It weighs almost nothing in any level (``svbrdf.LEAST_WEIGHT``), and at level 0 takes the values
+of the nearest texel that counts, so that interpolation across the edge finds no dark texels.
 """
 
 from __future__ import annotations

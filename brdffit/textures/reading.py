@@ -45,7 +45,7 @@ def read_material(path: Path, material: str | None = None) -> TextureSet:
 
 
 def material_names(path: Path) -> list[str]:
-    """Names of the materials of a file that its meshes use and that have a map, as ``--material`` takes them.
+    """Names of the materials that a file's meshes use, as ``--material`` takes them; of several, those that have a map.
 
     Raises:
         InputError: when the file cannot be read.
@@ -76,7 +76,8 @@ def read_texture_set(
         wrap: "tile" or "clamp"; None is what the material file says, or else "tile".
         height_scale: texels between the height values 0 and 1; None derives it.
         denoise_normals: read the normal map without what its codes cannot tell from a flat one, see ``noise_floor``.
-        material: name of the material to read from a file that holds several; None takes the one that is used.
+        material: name of the material to read from a file that holds several; None chooses, see ``read_gltf`` and
+            ``read_materialx``.
         without: roles that will not be read (see ``conversion.to_svbrdf``): without "normal" nothing is asked of it.
 
     Raises:
@@ -120,7 +121,7 @@ def settle(
 
 
 def _without_surface(texture_set: TextureSet, path: Path) -> None:
-    """A set without normal and height: a material file may well mean it so; of a folder it is refused."""
+    """A set without normal and height: of a material file with maps it is flat, else an InputError."""
     if texture_set.entry is not None and texture_set.maps:
         texture_set.note(f"The material of '{texture_set.entry.name}' has no normal map: its surface is flat.")
         return
@@ -176,9 +177,9 @@ def _find_maps(path: Path, roles: dict[str, str], material: str | None) -> Textu
 
 
 def _by_file(path: Path, scenes: list[str], named: NamedSet, material: str | None) -> tuple[TextureSet | None, str]:
-    """The set of a folder as its one material file says it; or None, and why not where pictures tell a surface.
+    """The set of a folder by its one material file; or None, and why, where the names of its images are used instead.
 
-    What such a file cannot say, occlusion and height, is added by names.
+    Occlusion and height, which the file may lack, are added by names.
     """
     has_surface = bool({"normal", "height"} & named.maps.keys())
     if len(scenes) != 1:
@@ -206,7 +207,7 @@ def _by_file(path: Path, scenes: list[str], named: NamedSet, material: str | Non
 
 
 def set_of_names(path: Path, named: NamedSet, explicit: dict[str, Map]) -> TextureSet:
-    """The set of a folder as its names tell it."""
+    """The set of a folder by the names of its files; InputError where they are of several materials."""
     for role, files in named.rivals.items():
         if role not in explicit:
             raise InputError(
@@ -240,7 +241,7 @@ def _is_utf8(name: str) -> bool:
 
 
 def explicit_roles(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
-    """Maps of an explicit map of roles."""
+    """Maps of roles given as FILE or FILE:CHANNEL; a packing gives several. UnknownNameError for an unknown role."""
     maps: dict[str, Map] = {}
     for role, text in roles.items():
         file, _, channel = text.rpartition(":")
@@ -260,6 +261,7 @@ def explicit_roles(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
 
 
 def normal_y_from_names(texture_set: TextureSet, named: NamedSet) -> None:
+    """Take the normal's Y from the file's name, or from the naming convention of the whole set."""
     normal = named.maps.get("normal")
     if normal is None or "normal" not in texture_set.maps or normal.file != texture_set.maps["normal"].path.name:
         return
@@ -296,7 +298,7 @@ def settle_opacity(texture_set: TextureSet) -> None:
 
 
 def settle_wrap(texture_set: TextureSet, path: Path, wrap: str | None) -> None:
-    """Take the wrap that is given, or the file's, which must then be one that is known here and the same for all."""
+    """Take the given wrap, or else the file's, which must be known here and the same for all maps (InputError)."""
     if wrap is not None:
         texture_set.wrap = wrap
     elif texture_set.wrap not in WRAPS:
@@ -306,10 +308,10 @@ def settle_wrap(texture_set: TextureSet, path: Path, wrap: str | None) -> None:
 
 
 def settle_frames(texture_set: TextureSet, path: Path) -> None:
-    """Bring maps that are scaled or turned against each other to one frame; a frame that all share stays outside.
+    """Bring maps that are scaled or turned against each other to one frame; one that all share is the renderer's.
 
     Raises:
-        InputError: where in no map's frame the others repeat a whole number of times, or the set does not tile.
+        InputError: where the others repeat a whole number of times in no map's frame, or the set does not tile.
     """
     frames = {role: named.frame for role, named in texture_set.maps.items()}
     if len(set(frames.values())) <= 1:

@@ -50,7 +50,7 @@ class BrushStrokes(msgspec.Struct, forbid_unknown_fields=True):
             ends = 0.5 * length + 0.3 * half * np.sin(across * np.float32(40.0 / half) + np.float32(ripple[1]))
             inside = (np.abs(across) < half) & (np.abs(along) < ends)
             t, s = across[inside] / half, np.minimum((ends - np.abs(along))[inside] / half, 1.0)
-            # Paint thins out to the borders and to the ends; there the grooves are as deep as it is thick.
+            # Paint thins out to the borders and to the ends, and the grooves in it with it.
             body = np.minimum(4.0 * (1.0 - np.abs(t)), 1.0) * s
             place = (t + 1.0) * (0.5 * (len(profile) - 1))
             grooves = np.interp(place, np.arange(len(profile)), profile).astype(np.float32)
