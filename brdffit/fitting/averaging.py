@@ -1,4 +1,4 @@
-"""Levels that no pixel reads: every channel averaged for itself, as the naive baseline does, at hardly any cost."""
+"""Levels that no pixel reads: each channel is averaged by itself, as the naive baseline does, at hardly any cost."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from brdffit.svbrdf import LEAST_WEIGHT, Svbrdf
 def averaged_levels(
     svbrdf: Svbrdf, sizes: Sequence[tuple[int, int]], options: FitOptions, target: Model
 ) -> Iterator[Svbrdf]:
-    """Levels of these sizes, finest first: colours, occlusion, perceptual roughness and normals averaged.
+    """Yield levels of these sizes, finest first, with colours, occlusion, perceptual roughness and normals averaged.
 
-    Normals are made unit length again; the spread of normals, and what roughness is to reflected energy, is lost.
+    Mean normals are made unit length again. The spread of the normals is lost, and roughness is not weighted by the
+    energy that each texel reflects.
     """
     own = {"normal": svbrdf.normal, "roughness": _roughness(svbrdf)}
     if svbrdf.occlusion is not None:
@@ -58,7 +59,7 @@ def averaged_levels(
 
 
 def _roughness(svbrdf: Svbrdf) -> NDArray:
-    """Perceptual roughness and the deviator of the log tensor (H, W, 3); without the latter (H, W, 1) where it is 0."""
+    """Perceptual roughness and the deviator of the log tensor (H, W, 3), or (H, W, 1) where the deviator is 0."""
     a, b, c = np.moveaxis(svbrdf.log_roughness, 2, 0)
     perceptual = perceptual_from_log_tensor(svbrdf.log_roughness)
     if np.array_equal(a, b) and not c.any():
@@ -67,7 +68,7 @@ def _roughness(svbrdf: Svbrdf) -> NDArray:
 
 
 def _log_tensor(roughness: NDArray, options: FitOptions, target: Model) -> NDArray:
-    """Log tensors (h, w, 3) of averaged ``_roughness``, eigenvalues between the floor and 1."""
+    """Log tensors (h, w, 3) of averaged ``_roughness``; eigenvalues of Sigma lie between the roughness floor and 1."""
     lowest = 4.0 * np.log(options.min_roughness)
     mean = np.clip(4.0 * np.log(np.maximum(roughness[..., 0], 1e-6)), lowest, 0.0)
     if roughness.shape[2] == 1 or options.lobe == "isotropic" or target.isotropic:
@@ -80,7 +81,7 @@ def _log_tensor(roughness: NDArray, options: FitOptions, target: Model) -> NDArr
 
 
 def _unit(mean: NDArray) -> NDArray:
-    """Normals (h, w, 3) of averages; z where opposite normals leave nothing."""
+    """Unit normals (h, w, 3) of mean normals; (0, 0, 1) where opposite normals cancel."""
     length = np.linalg.norm(mean, axis=2, keepdims=True)
     some = length > 1e-6
     return np.where(some, mean / np.where(some, length, 1.0), np.array([0.0, 0.0, 1.0], np.float32))

@@ -1,4 +1,4 @@
-"""The compiled loop over texels, and what it needs of the models: kernels for one pair of source and target model."""
+"""The compiled loop over texels, and the kernels that it needs for one pair of source and target model."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from brdffit.halfangle.objective import FREE
 from brdffit.halfangle.quadrature import lattice
 from brdffit.halfangle.response import NO_RESPONSE
 
-#: How many point sets a level has.
+#: Quadrature rules of a level, from few nodes to many.
 TIERS = 3
 
 
 class Output(NamedTuple):
-    """Arrays of a level that the loop fills; shapes as in ``Svbrdf`` and ``Level``."""
+    """Arrays of n texels that the loop fills, one row a texel; fields as in ``Svbrdf`` and ``Level``, flattened."""
 
     normal: NDArray
     log_roughness: NDArray
@@ -43,8 +43,11 @@ class Output(NamedTuple):
 
 
 class LevelRules(NamedTuple):
-    """How a level is sampled: strata of its footprints, room for lobes, sizes of light (see ``lights.Table``), and of
-    each rule, from few nodes to many, a point set a size."""
+    """How a level is sampled.
+
+    ``strata`` of its footprints; ``room`` for lobes; ``lights``: sizes of light as in ``lights.Table``; ``points``: the
+    rules, from few nodes to many, each with one point set for every size of light.
+    """
 
     strata: Strata
     room: int
@@ -54,11 +57,11 @@ class LevelRules(NamedTuple):
 
 @kernel
 def diffuse_scale(moment, channel, n_x, n_y, n_z, exponent):
-    """Diffuse albedo of one channel that fits sum_i w_i d_i (n_i.l) by d (n.l) in L2 over the light directions.
+    """Diffuse albedo d of one channel with d (n.l) nearest to sum_i w_i d_i (n_i.l) in L2 over light directions.
 
-    d = g' G n / n' G n with g = sum_i w_i d_i n_i and G = E[l l'], diagonal: equal entries for uniform l (exponent 1),
-    (1, 1, 2) / 4 for cosine-distributed l. Horizon clipping of single normals is left out: it has no closed form and
-    matters only where normals lean over further than the light.
+    d = g' G n / n' G n with g = sum_i w_i d_i n_i and G = E[l l'], which is diagonal: with equal entries for uniform l
+    (exponent 1), with (1, 1, 2) / 4 for cosine-distributed l. The horizon of each n_i is ignored: it has no closed form
+    and matters only for lights below that horizon.
     """
     up = 2.0 if exponent == 3 else 1.0
     g_x, g_y, g_z = moment[3 * channel], moment[3 * channel + 1], moment[3 * channel + 2]
@@ -67,10 +70,11 @@ def diffuse_scale(moment, channel, n_x, n_y, n_z, exponent):
 
 @kernel
 def diffuse_under_sky(moment, channel, n_z):
-    """Diffuse albedo of one channel that reflects as much of an even sky: its irradiance is (1 + n_z) / 2.
+    """Diffuse albedo of one channel with which the level reflects as much of an even sky as its base texels do.
 
-    d = sum_i w_i d_i (1 + n_iz) / (1 + n_z). A point light sees sum_i w_i d_i n_i, which is shorter than the mean
-    albedo where normals differ; a sky hardly sees that they do.
+    A normal n receives (1 + n_z) / 2 of the sky, so d = sum_i w_i d_i (1 + n_iz) / (1 + n_z). Under a point light the
+    fit depends on sum_i w_i d_i n_i, which is shorter than the mean albedo where normals differ; under a sky their
+    spread hardly matters.
     """
     return max((moment[9 + channel] + moment[3 * channel + 2]) / (1.0 + n_z), 0.0)
 
@@ -80,9 +84,9 @@ def fit_rows(
     base, strata, columns, rows, search, scratch, rules, output,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
 ):  # fmt: skip
-    """Fit the texels (columns[i], rows[i]) of a level into row i of the outputs (flattened over texels).
+    """Fit the texels (columns[i], rows[i]) of a level and write each into row i of the outputs.
 
-    A texel whose search fails, or whose result is not finite, gets its closed-form start.
+    A texel whose search fails or whose result is not finite gets its closed-form start and the status FALLBACK.
     """
     theta, report = scratch.theta, scratch.report
     for i in range(columns.size):
@@ -131,10 +135,14 @@ class ModelKernels(NamedTuple):
 def model_kernels(
     source: str, target: str, float_width: int = 32, *, horizon: bool = True, turns: bool = True, stretches: bool = True
 ) -> ModelKernels:
-    """Specialise the loops for a source and a target model, in float32 or float64 sums.
+    """Specialise the loops for a source and a target model, with sums in float32 or float64.
 
-    ``horizon`` False: lobes go on beyond their own horizon. ``turns``, ``stretches`` False: for searches that hold the
-    normal, or a round lobe. What a kernel is not asked for it has no code for.
+    Args:
+        source, target: names of the models of the base and of the fitted level.
+        float_width: 32 or 64.
+        horizon: whether lobes end at their own horizon.
+        turns, stretches: False for searches that hold the normal, or keep the lobe isotropic. A switch that is off
+            removes its code from the kernels.
     """
     from brdffit.models import get_model
 
@@ -174,7 +182,7 @@ def _values(model: str, float_width: int, horizon: bool) -> Any:
 
 
 def _specialised(template: Any, model: str, float_width: int, function: str, **switches: bool) -> Any:
-    """``template`` with a model's function, and without the code of the switches that are off."""
+    """``template`` with a model's function bound, and without the code of the switches that are off."""
     from brdffit.models import get_model
 
     real = np.float32 if float_width == 32 else np.float64
@@ -189,7 +197,7 @@ def _floats(float_width: int) -> Any:
 
 
 def _compile(dispatcher: Any, arguments: tuple[Any, ...]) -> None:
-    """Compile (or load) one signature, so that the function can be handed over as a value of function type."""
+    """Compile (or load) one signature, so that the function can be passed as a value of Numba's function type."""
     if arguments not in dispatcher.overloads:
         dispatcher.compile(arguments)
 
@@ -198,7 +206,8 @@ def _compile(dispatcher: Any, arguments: tuple[Any, ...]) -> None:
 def fitting_kernel(float_width: int) -> Any:
     """``fit_rows`` for float32 or float64 sums.
 
-    Compiled for function-typed arguments: one compilation for all models, and it reaches the disk cache.
+    It takes the models' kernels as arguments of function type, so one compilation serves all models and can be cached
+    on disk.
     """
     loop = fit_rows if float_width == 32 else specialise(fit_rows, "_64", real=np.float64)
     floats = types.float32 if float_width == 32 else types.float64
@@ -217,7 +226,7 @@ def fitting_kernel(float_width: int) -> Any:
 
 
 def _example(float_width: int) -> tuple[Any, ...]:
-    """Arguments of ``fit_rows`` up to the functions, for their types alone."""
+    """Example arguments of ``fit_rows`` up to the functions; only their types are used."""
     base, level = example_base(), LevelRules(example_strata(), 1, POINT, ((lattice(2),),) * TIERS)
     search = Search(
         free=0, scale=FREE, scale_low=0.0, scale_high=0.0, energy=0.0, exponent=3, step=0.0, tolerance=0.0,
@@ -271,6 +280,6 @@ def fit_texels(
     base: Base, level: LevelRules, columns: NDArray, rows: NDArray, search: Search, output: Output,
     kernels: ModelKernels, float_width: int = 32,
 ) -> None:  # fmt: skip
-    """Fit texels (columns[i], rows[i]) of a level into ``output``; releases the GIL."""
+    """Fit the texels (columns[i], rows[i]) of a level into ``output``. The loop releases the GIL."""
     scratch, rules = make_workplace(level, float_width)
     fitting_kernel(float_width)(base, level.strata, columns, rows, search, scratch, rules, output, *kernels)

@@ -1,17 +1,17 @@
-"""BFGS for one texel.
+"""BFGS for one texel (Nocedal and Wright 2006, chapter 6).
 
-The first inverse Hessian is the Gauss-Newton one of a lobe that fits exactly. For GGX on the plane, with
+The first inverse Hessian is that of Gauss-Newton for a lobe that fits exactly. For GGX on the plane, with
 D = (1 + t^2)^-2 / pi and e = |D' - proj D'|^2 / |D|^2 for a change D' of the lobe:
 
 - a shift of the peak by t (in units of alpha): e = 1.2 t^2, so 1 / sqrt(2.4) = 0.65;
 - a common change of log alpha^2: e = 0.15 l^2 with free scale, so 1 / sqrt(0.3) = 1.8;
 - an anisotropic change (a = -b, or c): e = 0.2 d^2, so 1 / sqrt(0.4) = 1.6.
 
-With another loss than L2 the true curvature differs by a factor; ``rescaled`` searches scale the matrix by what the
-first step found, y's / y'Hy (Nocedal and Wright 2006, equation 6.20).
+With a loss other than L2 the true curvature differs by a factor. Searches with ``rescaled`` set multiply the matrix by
+y's / y'Hy of the first step (equation 6.20).
 
-These are the units of a step's length as well. Reduced fits leave rows of the matrix 0: isotropic keeps the common
-change alone, a held normal has no shifts.
+The same numbers are the units in which the length of a step is measured. Parameters that are held have rows of zeros:
+an isotropic fit keeps only the common change of log alpha^2, a held normal has no shifts.
 """
 
 from __future__ import annotations
@@ -32,18 +32,19 @@ _SHIFT, _SIZE, _STRETCH, _SHAPE = 0.65, 1.8, 1.6, 1.0
 _LONGEST_STEP = 2.0
 _ARMIJO = 1e-4
 _BACKTRACKS = 8
-# Bounds of the factor by which a first step may scale the first matrix.
+# Bounds of the factor by which the first step may scale the first matrix.
 _LEAST_SCALE, _MOST_SCALE = 0.2, 5.0
-# Sums of a few hundred float32 terms around 1: no decrease below this can be told from rounding.
+# The objective is a sum of a few hundred float32 terms, about 1 in all: a smaller decrease is rounding.
 _NOISE = 5e-7
 
-# What is fitted besides the scale: bits of a mask.
+# What is fitted besides the scale and the mean log alpha^2: bits of a mask.
 FREE_NORMAL, FREE_ANISOTROPY, FREE_SHAPE = 1, 2, 4
 
 
 class Space(NamedTuple):
-    """Arrays of one search: the gradient where it stands; a trial with its gradient; the step, the change of the
-    gradient over it and the product of that with the inverse Hessian; the inverse Hessian; scratch of an evaluation."""
+    """Arrays of one search: ``gradient`` at the current point; ``trial`` point and ``trial_gradient``; ``step``, the
+    ``change`` of the gradient over it and the product ``image`` of the inverse Hessian with that change; ``inverse``
+    Hessian; scratch of an ``evaluation``."""
 
     gradient: NDArray
     trial: NDArray
@@ -63,19 +64,19 @@ def make_space() -> Space:
 
 
 def directions_of(free: int) -> int:
-    """How many parameters, or directions among them, a mask lets go."""
+    """How many directions of the parameter space a mask leaves free."""
     return 1 + 2 * bool(free & FREE_NORMAL) + 2 * bool(free & FREE_ANISOTROPY) + bool(free & FREE_SHAPE)
 
 
 @inline
 def first_inverse(theta, free, inverse):
-    """Fill ``inverse`` (6, 6) with the inverse Hessian that a search starts from; returns its part for a shift, whether
-    that is free or not, as (xx, yy, xy)."""
+    """Fill ``inverse`` (6, 6) with the inverse Hessian that a search starts from. Returns its block for the slopes of
+    the normal as (xx, yy, xy), even where the normal is held."""
     for i in range(PARAMETERS):
         for k in range(PARAMETERS):
             inverse[i, k] = 0.0
     xx, yy, xy = tensor_of_log(theta[2], theta[3], theta[4])
-    # dn is about dm / (1 + m^2) to within the tilt's cosine.
+    # Along the tilt dn = dm / (1 + m^2). Across it dn is larger by 1 / cos(tilt), which a first matrix may ignore.
     lift = _SHIFT * (1.0 + theta[0] * theta[0] + theta[1] * theta[1])
     xx, yy, xy = lift * lift * xx, lift * lift * yy, lift * lift * xy
     if free & FREE_NORMAL:
@@ -95,14 +96,14 @@ def minimise(
 ):  # fmt: skip
     """Lower the objective from ``theta`` (6,), in place.
 
-    ``space.gradient`` must hold the gradient at theta and ``value`` the objective there (relative squared error - 1).
-    Stops when the decrease that the model still predicts is below ``tolerance`` times the error itself, or below
-    ``floor`` (in units of the objective).
-    Returns (value, evaluations, status); theta is never worse than it was.
+    ``space.gradient`` must hold the gradient at theta, and ``value`` the objective there (relative squared error - 1).
+    The search stops when the decrease that the quadratic model still predicts is below ``tolerance`` times the error,
+    below ``floor`` (in units of the objective) or below rounding, and after ``most`` steps.
+    Returns (value, evaluations, status). The value never rises.
     """
     gradient, trial_gradient, trial = space.gradient, space.trial_gradient, space.trial
     step, change, image = space.step, space.change, space.image
-    # Parameters that are not fitted have zeros everywhere: loops of a known length are no loops to the compiler.
+    # Held parameters have zeros in the matrix: all loops then have a fixed length, which the compiler unrolls.
     inverse = space.inverse
     xx, yy, xy = first_inverse(theta, free, inverse)
     evaluations = 0
@@ -148,7 +149,7 @@ def minimise(
             theta[p] = trial[p]
             gradient[p] = trial_gradient[p]
         value = trial_value
-        # Without curvature along the step the update would lose positive definiteness: keep the old matrix.
+        # Without positive curvature along the step the update would not stay positive definite: keep the old matrix.
         if product > 1e-14:
             quadratic = 0.0
             for i in range(PARAMETERS):
@@ -158,7 +159,7 @@ def minimise(
                 image[i] = s
                 quadratic += change[i] * s
             if rescaled and iteration == 0 and quadratic > 0.0:
-                # The curvature along the first step says by how much the first matrix is off.
+                # The curvature along the first step gives the scale of the first matrix.
                 by = min(max(product / quadratic, _LEAST_SCALE), _MOST_SCALE)
                 quadratic *= by
                 for i in range(PARAMETERS):

@@ -1,8 +1,8 @@
-"""Effects of a fit that may be left out: what of the base is then seen, by which kernels, and what completes it.
+"""Effects that a fit may leave out: the base and the kernels that it then uses, and how its result is completed.
 
-An effect that is off is off before the loop over texels begins: the loop sees a base that never had it (a grey one, a
-white one, one without diffuse colour), and kernels without its code. What it left out, colours, is averaged under the
-pixel filter afterwards, one image at a time.
+An effect is switched off before the loop over texels begins: the loop gets a base without it (grey, white, or without
+diffuse colour) and kernels without its code. Colours that the loop did not see are averaged under the pixel filter
+afterwards, one image at a time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from brdffit.halfangle.apparent_lobe import Base
 from brdffit.methods import one_of
 from brdffit.models import Model
 
-#: Of linear RGB (Rec. 709).
+#: Luminance of linear RGB (Rec. 709).
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _BLACK = 1e-12
 
@@ -29,10 +29,13 @@ _BLACK = 1e-12
 class Seen(NamedTuple):
     """What a fit sees of a base.
 
-    ``base``: as the loop over texels reads it; ``averaged``: the images (H, W, 3) that it does not read, "specular" or
-    "diffuse", whose averages complete its answer; ``hue``: whether the averaged specular colour gives its hue alone;
-    ``scale``: of the white lobes that a fit without colours reads, as bright as the base's in the mean, so that its
-    loss weighs them against the diffuse light as they are.
+    Attributes:
+        base: as the loop over texels reads it.
+        averaged: images (H, W, 3) that the loop does not read, by name ("specular", "diffuse"); their averages complete
+            its result.
+        hue: whether only the hue of the averaged specular colour is used, because the fit gives its luminance.
+        scale: specular colour of the white lobes that a fit without colours reads: the mean of the base's, so that the
+            loss weighs lobes against the diffuse light as in the base.
     """
 
     base: Base
@@ -51,7 +54,7 @@ def seen_by(base: Base, options: FitOptions) -> Seen:
     averaged, scale = {}, 1.0
     if not options.coupling and base.has_diffuse:
         averaged["diffuse"] = base.diffuse
-        # Under lights with a size the loss weighs the lobe against the diffuse light, which it must see.
+        # Under lights with a size the loss weighs the lobe against the diffuse light, so it must see that light.
         base = base._replace(has_diffuse=options.lights != "point")
     if not options.correlation:
         averaged["specular"] = base.specular
@@ -66,8 +69,9 @@ def seen_by(base: Base, options: FitOptions) -> Seen:
 def complete(output: Output, seen: Seen, averages: Mapping[str, NDArray]) -> None:
     """Put the averages (n, 3) of ``seen.averaged`` into the outputs of n texels.
 
-    Diffuse colour is the average; specular colour is the fitted scale times the average (or its hue). Averages below 0
-    (a filter's negative weights) count as black; black has no hue, and is left grey.
+    The diffuse colour is the average. The specular colour is the fitted one times the hue of the average, or times the
+    average over ``seen.scale``. Averages below 0 (a filter's negative weights) count as black; black has no hue, and
+    the fitted grey is kept.
     """
     if "diffuse" in averages:
         np.maximum(averages["diffuse"], 0.0, out=output.diffuse)
@@ -92,7 +96,7 @@ def kernels_of(options: FitOptions, source: Model, target: Model, float_width: i
 
 
 def reached(reach: tuple[int, int] | None, levels: int) -> range:
-    """The levels that are fitted, of so many.
+    """The levels that are fitted, of a pyramid with so many ``levels``; None reaches all of them.
 
     Raises:
         InputError: when the reach is no range of levels.

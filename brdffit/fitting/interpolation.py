@@ -1,11 +1,11 @@
-"""The error of what a renderer makes of a level between its texels, and its gradient by all texels at once.
+"""The error of the lobe that a renderer interpolates between texels, and its gradient by all texels at once.
 
 At a point x between texels a renderer shades with the lobe of
 
     n = N / |N|,  N = sum_i w_i n_i,      Sigma = sum_i w_i Sigma_i,      rho = sum_i w_i rho_i,
 
-w_i the bilinear (and, between levels, trilinear) weights. With T(h; x) the apparent lobe of the footprint around x on
-nodes h_j, weights W_j, and D = K g(q, C) / (pi sqrt(det Sigma)) (see brdffit.models), the error of a point is
+w_i the bilinear (and, between levels, trilinear) weights. With T(h; x) the apparent lobe of the footprint around x,
+nodes h_j with weights W_j, and D = K g(q, C) / (pi sqrt(det Sigma)) (see brdffit.models), the error of a point is
 
     e(x) = sum_jc W_j (T_jc - rho_c D_j)^2 / sum_jc W_j T_jc^2.
 
@@ -34,9 +34,9 @@ from brdffit.models.ggx import profile_gradient  # bound anew for other models
 
 real = np.float32
 
-#: Slopes, log tensor (a, b, c), specular RGB of a texel.
+#: Parameters of a texel: slopes of the normal, log tensor (a, b, c), specular RGB.
 PARAMETERS = 8
-# Channels that a renderer interpolates: normal, tensor (XX, YY, XY), specular RGB, shape; the shape has no gradient.
+# Channels that a renderer interpolates: normal, tensor (XX, YY, XY), specular RGB, shape (which is held).
 NORMAL, TENSOR, SPECULAR, SHAPE, CHANNELS = 0, 3, 6, 9, 10
 
 
@@ -44,8 +44,9 @@ NORMAL, TENSOR, SPECULAR, SHAPE, CHANNELS = 0, 3, 6, 9, 10
 def interpolated_errors(nodes, norm, corners, weights, fixed, channels, log_normalisation, errors, gradient):
     """Errors of S points into ``errors`` (S,), and the gradient of their sum by the channels into ``gradient`` (P, 9).
 
-    ``nodes`` (S, NODE_ROWS, N) float32 and ``norm`` (S,): tables of the points; ``corners`` (S, 4): rows of
-    ``channels`` (P, 10) that a point lies between, with ``weights`` (S, 4); ``fixed`` (S, 10) is added to them.
+    ``nodes`` (S, NODE_ROWS, N) float32 and ``norm`` (S,): tables of the points and their <T,T>; ``corners`` (S, 4):
+    rows of ``channels`` (P, 10) that a point lies between, with ``weights`` (S, 4); ``fixed`` (S, 10) is added to their
+    weighted sum.
     """
     gradient[:] = 0.0
     p, back = np.empty(CHANNELS), np.empty(9)
@@ -62,7 +63,7 @@ def interpolated_errors(nodes, norm, corners, weights, fixed, channels, log_norm
         t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(x, y, z)
         xx, yy, xy = p[3], p[4], p[5]
         determinant = max(xx * yy - xy * xy, max(1e-12 * xx * yy, 1e-30))
-        # Sigma^-1 = L L' with L = [[l1, 0], [l2, l3]]: q is a sum of squares, in single precision too.
+        # Sigma^-1 = L L' with L = [[l1, 0], [l2, l3]] makes q a sum of squares, never negative in single precision.
         l1 = math.sqrt(yy / determinant)
         l2, l3 = -xy / determinant / l1, 1.0 / math.sqrt(yy)
         amplitude = math.exp(log_normalisation(p[SHAPE])[0]) / (math.pi * math.sqrt(determinant))
@@ -81,7 +82,7 @@ def interpolated_errors(nodes, norm, corners, weights, fixed, channels, log_norm
             v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
             c = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
             g, g_q, g_C, g_s = profile_gradient(u * u + v * v, c * c, shape)
-            # The lobe ends at its own horizon, smoothly, as in ``objective.moments``.
+            # The lobe fades out at its own horizon, as in ``objective.moments``.
             f = min(max(c * real(1.0 / RIM), real(0.0)), real(1.0))
             fade = f * f * (real(3.0) - f - f)
             g_C = g_C * fade + (g * real(3.0 / (RIM * RIM)) * (real(1.0) - f) if c > real(0.0) else real(0.0))
@@ -145,7 +146,7 @@ def interpolation_kernel(model: str) -> Any:
 
 
 def channels_of(theta: NDArray, shape: NDArray) -> NDArray:
-    """(n, 10) channels that a renderer interpolates, of texels' parameters (n, 8) and shapes (n,)."""
+    """Channels (n, 10) that a renderer interpolates, from texels' parameters (n, 8) and shapes (n,)."""
     slopes = np.concatenate([-theta[:, 0:2], np.ones((len(theta), 1))], axis=1)
     normal = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
     _, e1, e2, vectors = eigen(theta)
@@ -154,7 +155,7 @@ def channels_of(theta: NDArray, shape: NDArray) -> NDArray:
 
 
 def chain(theta: NDArray, gradient: NDArray) -> NDArray:
-    """Gradient (n, 8) by texels' parameters, of that by their channels (n, 9).
+    """Gradient (n, 8) by texels' parameters (n, 8), from the gradient (n, 9) by their channels.
 
     dSigma = V (F o V' dL V) V' with F the divided differences of exp at the eigenvalues of L = log Sigma.
     """

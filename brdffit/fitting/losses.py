@@ -1,20 +1,21 @@
-"""What an error counts for, as weights of the nodes: every loss is a weighted least-squares fit, solved once or anew.
+"""Losses as weights of the quadrature nodes: each is a weighted least-squares fit, solved once or, for L1, repeatedly.
 
 - L2: the half-angle error integral itself. It follows the peak of the lobe.
 - RELATIVE: |T - F|^2 / (|T|^2 + knee^2), the relative squared loss of Kemppinen et al. 2023 (their equation 5) at each
-  half angle; their denominator is the prediction, held constant, because their target is noisy; ours is not.
-- L1: sqrt(|T - F|^2 + knee^2), a smoothed absolute error (Manson and Sloan 2016 fit GGX's tail by an absolute error,
-  which L2 sacrifices to the peak), by iteratively reweighted least squares: with weights 1 / sqrt(|r|^2 + knee^2) of
-  the residual r before, each fit lowers the loss, since the square is a tangent from above to the square root.
-- SEEN: |T - F|^2 / (T + k), k = mean T + 4 d / pi, the squared error relative to what is seen there: the lobe, its
-  mean over all half angles, and the diffuse albedo d as a lobe's value (d / pi over the 1 / (4 (n.l) (n.v)) of a lobe).
-- DISPLAYED: |T - F|^2 / (T + k / 5)^1.5, the squared error of what a screen shows. With the light exposed so that its
-  mean is grey, Reinhard's curve y = x / (1 + x) and sRGB's y^(1/2.2) have slopes whose square falls as x^-1.1 below
-  the mean and as x^-2.9 far above it; 1.5 and a fifth of the mean stand for both (benchmarks/seen.py).
+  half angle. Their denominator is the prediction, held constant, because their target is noisy; ours is not.
+- L1: sqrt(|T - F|^2 + knee^2), a smoothed absolute error (Manson and Sloan 2016 fit GGX by an absolute error to keep
+  its tail, which L2 sacrifices to the peak), by iteratively reweighted least squares with weights
+  1 / sqrt(|r|^2 + knee^2), r the residual of the fit before. No fit raises the loss: as a function of |r|^2 the square
+  root is concave, so the weighted square lies above it and touches it at the fit before.
+- SEEN: |T - F|^2 / (T + k), k = mean T + 4 d / pi, the squared error relative to the light seen there: the lobe, its
+  mean over all half angles, and the diffuse albedo d in units of a lobe (d / pi over a lobe's 1 / (4 (n.l) (n.v))).
+- DISPLAYED: |T - F|^2 / (T + k / 5)^1.5, the squared error on a screen. With the mean light exposed as grey, Reinhard's
+  curve y = x / (1 + x) and sRGB's y^(1/2.2) have a slope whose square falls as x^-1.1 below the mean and as x^-2.9 far
+  above it; the power 1.5 and a fifth of the mean approximate both (benchmarks/seen.py).
 
-The knee is a share of the target's highest value on the nodes: what lies below it counts absolutely.
-An energy constraint needs no loss of its own: lobes are normalised, so holding the scale at the filtered colour keeps
-the mean of the lobe exactly, at the least L2 error that leaves (``--specular held``).
+The knee is 3% of the target's highest value on the nodes: below it RELATIVE counts errors absolutely, and L1 squared.
+An energy constraint needs no loss of its own: lobes are normalised, so a scale held at the filtered colour keeps the
+energy exactly, and the search finds the least L2 error under that constraint (``--set fit.specular=held``).
 """
 
 from __future__ import annotations
@@ -29,19 +30,19 @@ from brdffit.halfangle.quadrature import BLUE, GREEN, MEASURE, RED, WEIGHT
 real = np.float32
 
 L2, RELATIVE, L1, SEEN, DISPLAYED = range(5)
-#: Codes of the names in brdffit.methods.LOSSES.
+#: Codes of the names in brdffit.fitting.options.LOSSES; "auto" becomes one of these before a search.
 LOSS_CODES = {"l2": L2, "relative": RELATIVE, "l1": L1, "seen": SEEN, "displayed": DISPLAYED}
 
-#: Fits of L1 beyond the first.
+#: Reweighted fits of L1 after the first.
 ROUNDS = 4
 _KNEE = 0.03
-# Of DISPLAYED: the power of the denominator, and the share of k in it.
+# DISPLAYED: the power of its denominator, and the share of k in it.
 _POWER, _DARK = 1.5, 0.2
 
 
 @kernel
 def _knee_squared(nodes):
-    """(share of the highest |T|)^2."""
+    """Square of the knee, a share of the highest |T| on the nodes."""
     red, green, blue = nodes[RED], nodes[GREEN], nodes[BLUE]
     highest = real(0.0)
     for j in range(nodes.shape[1]):
@@ -51,7 +52,7 @@ def _knee_squared(nodes):
 
 @kernel
 def weigh_relatively(nodes):
-    """WEIGHT <- MEASURE over |T|^2 + knee^2, in units of the knee, so that no weight grows."""
+    """WEIGHT <- MEASURE knee^2 / (|T|^2 + knee^2), so that no weight exceeds MEASURE."""
     red, green, blue, weight, measure = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT], nodes[MEASURE]
     knee = _knee_squared(nodes)
     if not knee > real(0.0):
@@ -63,9 +64,10 @@ def weigh_relatively(nodes):
 
 @kernel
 def weigh_as_seen(nodes, moment, displayed):
-    """WEIGHT <- MEASURE over what is seen, T + k with k = mean T + 4 d / pi, in units of k; T and d are channel sums.
+    """WEIGHT <- MEASURE k / (T + k), k = mean T + 4 d / pi; if ``displayed``, MEASURE (k' / (T + k'))^1.5, k' = k / 5.
 
-    ``moment`` (9,): sums of diffuse colour times normal, (channel, axis). ``displayed``: over (T + k / 5)^1.5.
+    T and d are sums over channels. ``moment`` (DIFFUSE_MOMENT,): its first nine entries are the sums of diffuse colour
+    times normal, (channel, axis); d of a channel is the length of its sum.
     """
     red, green, blue, weight, measure = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT], nodes[MEASURE]
     whole, mean = real(0.0), real(0.0)
@@ -81,14 +83,14 @@ def weigh_as_seen(nodes, moment, displayed):
     if not knee > real(0.0):
         return
     for j in range(nodes.shape[1]):
-        # Negative weights of a filter can make the target negative.
+        # A filter's negative weights can make the target negative.
         share = knee / (max(red[j] + green[j] + blue[j], real(0.0)) + knee)
         weight[j] = measure[j] * (share * np.sqrt(share) if displayed else share)
 
 
 @kernel
 def weigh_absolutely(nodes, values, red_scale, green_scale, blue_scale):
-    """WEIGHT <- MEASURE over sqrt(|T - F|^2 + knee^2), in units of the knee; F = scale * values."""
+    """WEIGHT <- MEASURE knee / sqrt(|T - F|^2 + knee^2) with F = scale * values."""
     red, green, blue, weight, measure = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT], nodes[MEASURE]
     knee = _knee_squared(nodes)
     if not knee > real(0.0):

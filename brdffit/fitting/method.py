@@ -1,4 +1,4 @@
-"""Our method: the nonlinear fit of every texel of every level, built from the base."""
+"""The nonlinear fit as a method: every texel of every level is fitted to the base under its pixel filter."""
 
 from __future__ import annotations
 
@@ -42,27 +42,29 @@ from brdffit.methods import Level, LobeMethod, Material, Progress, Pyramid, one_
 from brdffit.models import Model, get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
 
-# A piece of work should take a fraction of a second, so that an interrupt is heard and the bar moves.
+# A piece of work should take a fraction of a second, so that interrupts are handled and the progress bar moves.
 _TEXELS_PER_PIECE = 16384
 _LEAST_PIECES = 32
-# Footprints of this many texels an axis take many samples, beside which nodes are cheap: they get more of them.
+# Footprints of at least this many base texels an axis take so many samples that nodes are cheap: factor of nodes there.
 _WIDE, _WIDE_NODES = 4, 2
-# Texels that tell a level's mean error, and texels of a level worth it.
+# Texels fitted to estimate a level's mean error, and the fewest texels of a level for which that pays.
 _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
+# The largest share of its error that a search under a tolerance may leave.
 _LAXEST = 1e-2
-# Share of a rule's nodes that each size of light gets, the smallest first, and the fewest.
+# Share of a rule's nodes for each size of light, the smallest size first; the fewest nodes of a size.
 _NODE_SHARES, _FEWEST_NODES = (0.5, 0.25, 0.2, 0.2, 0.2, 0.2), 24
-# How far a bounded scale may lie from the filtered colour.
+# Least and greatest bounded scale, in units of the filtered colour.
 _BOUNDS = (0.91, 1.09)
-# Share of an even sky in what the diffuse colour is fitted to, where lights have a size; the rest is point lights.
+# Where lights have a size the diffuse colour is fitted to point lights and, with this share, to an even sky.
 _SKY = 0.5
-# Relative squared error at which a search is not believed to have found the best lobe: 8 dB, and 5 dB of the displayed
-# loss, in whose norm errors are larger (from 0.15 on, further starts gain 0.03 dB for a fifth of all evaluations).
+# Relative squared errors (8 dB, and 5 dB of the displayed loss, whose errors are larger) above which the best lobe may
+# not have been found and further starts are tried. With 0.15 for the displayed loss too, they would gain 0.03 dB for a
+# fifth of all evaluations.
 _POOR, _POOR_DISPLAYED = 0.15, 0.3
 
 
 class NonlinearFit(LobeMethod):
-    """Per texel and level: one lobe fitted to the average of all lobes under the pixel filter."""
+    """Fits one lobe for each texel and level to the average of all base lobes under the pixel filter."""
 
     name = "bfgs"
     summary = "nonlinear fit of the lobe to the filtered lobes, by BFGS on the half-angle error integral (default)"
@@ -70,7 +72,7 @@ class NonlinearFit(LobeMethod):
     options = FitOptions
 
     def prepare(self, material: Material, options: FitOptions) -> None:
-        """Compile (or load from the cache) what a bake needs, so that it is told apart from the fitting time."""
+        """Compile the kernels of a bake or load them from the cache, so that fitting is timed without it."""
         source, target = get_model(material.svbrdf.model), get_model(options.model)
         fitting_kernel(32)
         model_kernels(source.name, target.name)
@@ -87,7 +89,7 @@ class NonlinearFit(LobeMethod):
         pixel_filter, quality = get_pixel_filter(options.pixel_filter), quality_of(options)
         if not svbrdf.is_finite():
             raise InputError("The SVBRDF holds numbers that are not finite; every texel must be a finite number.")
-        # Compiled before the threads start: two at once would both try.
+        # Compiled before the threads start, or several threads would compile at once.
         fitting_kernel(32)
         kernels = kernels_of(options, source, target)
         base = base_of(svbrdf, source.default_shape)
@@ -121,7 +123,8 @@ class NonlinearFit(LobeMethod):
             level.seconds = time.perf_counter() - start
             pyramid.levels.append(level)
         if options.refine:
-            # What no pixel reads is no part of it. Interpolation is judged with every effect but the horizon's.
+            # Levels that no pixel reads are not refined. The target of refinement is the whole base, with effects that
+            # the fit leaves out; only the horizon of base lobes follows the options, for the kernels hold it.
             read = Pyramid(self.name, options, pyramid.levels[: fitted[-1] + 1])
             refine_pyramid(read, base, level_samplings, search, kernels, first=max(kept, fitted[0]))
             pyramid.notes += read.notes
@@ -146,7 +149,10 @@ class NonlinearFit(LobeMethod):
 def _averages(
     seen: Seen, wrap: str, sizes: list[tuple[int, int]], pixel_filter: PixelFilter, point: bool
 ) -> Iterator[dict[str, NDArray]]:
-    """What ``complete`` wants of each level, images as (texels, 3); ``point``: the first level is the base itself."""
+    """Yield the averages that ``complete`` needs for each level, as (texels, 3) by name.
+
+    ``point``: the first level is the base itself and is not filtered.
+    """
     images = seen.averaged
     pyramids = {name: iter_pyramid(image, sizes[point:], pixel_filter, wrap) for name, image in images.items()}
     for k in range(len(sizes)):
@@ -158,16 +164,16 @@ def level_rules(
     pixel_filter: PixelFilter, base_size: tuple[int, int], size: tuple[int, int], mip_level: int, quality: Quality,
     point: bool = False, lights: NDArray = POINT,
 ) -> LevelRules:  # fmt: skip
-    """How a level is sampled. ``point`` takes the base texel itself, unfiltered; ``lights`` as in ``lights.Table``."""
+    """How a level is sampled; ``point`` takes each base texel alone, unfiltered; ``lights`` as in ``lights.Table``."""
     scale = max(base_size[0] / size[0], base_size[1] / size[1])
     points = tuple(_points(nodes * (_WIDE_NODES if scale >= _WIDE else 1), lights) for nodes in quality.nodes)
     if point:
         one = np.ones(1)
         return LevelRules(Strata(0.0 * one, 0.0 * one, one, one, 0.0, 0.0, 1.0, 1.0, 0), 1, lights, points)
     pixels = max(1.0, 2.0 * pixel_filter.radius)
-    # An even number a texel: strata then end at texel centres, where the bilinear patches do.
+    # An even number of strata a texel makes strata end at texel centres, as bilinear patches do.
     per_texel = 2 * max(1, math.ceil(0.5 * quality.least / scale))
-    # Under lights with a size a footprint of many texels holds no needles that few samples miss.
+    # Lights with a size widen every lobe, so that half as many samples miss no sharp peak of a large footprint.
     most = math.ceil(quality.most * pixels * (0.5 if lights[0, BASE_BLUR] > 0.0 else 1.0))
     chosen = strata(pixel_filter, base_size, size, per_texel, most, mip_level, quality.merge)
     chosen = chosen._replace(light=float(lights[0, BASE_BLUR]))
@@ -175,14 +181,18 @@ def level_rules(
 
 
 def _points(nodes: int, lights: NDArray) -> tuple[NDArray, ...]:
-    """A point set a size: all of a rule's nodes for one size alone, else shares of them (wide lights need few)."""
+    """One point set for each size of light: a single size gets all nodes of a rule, several share them."""
     if len(lights) == 1:
         return (lattice(nodes),)
     return tuple(lattice(max(_FEWEST_NODES, 2 * round(0.5 * nodes * _NODE_SHARES[s]))) for s in range(len(lights)))
 
 
 def search_settings(options: FitOptions, quality: Quality, base: Base, source: Model, target: Model) -> Search:
-    """Settings of the search from what the user asked for."""
+    """Settings of the search that options ask for.
+
+    Raises:
+        UnknownNameError: for an unknown normal, lobe, density, specular or loss.
+    """
     free = FREE_NORMAL if one_of("normal", options.normal, ("free", "mean")) == "free" else 0
     if one_of("lobe", options.lobe, ("anisotropic", "isotropic")) == "anisotropic" and not target.isotropic:
         free |= FREE_ANISOTROPY
@@ -234,18 +244,19 @@ def tolerant(
     search: Search, options: FitOptions, base: Base, rules: LevelRules, size: tuple[int, int], mip_level: int,
     kernels: ModelKernels,
 ) -> Search:  # fmt: skip
-    """``search`` for one level under ``options.tolerance``: how much error each shortcut of a texel may cost.
+    """``search`` for one level under ``options.tolerance``: how much error each shortcut may add to a texel.
 
-    A level's SNR is the mean of its texels' errors e_i; it may grow by a share t = 10^(dB/10) - 1. What the closed form
-    loses rises with the eighth power of how much lobes differ, so hardly a texel comes near what any one of them may,
-    3 t times the mean error (``benchmarks --only tolerance`` shows what becomes of it). Few nodes may cost a texel
-    t / 3, an early stop t / 8: those every texel pays. The mean error comes from random texels that are fitted without
-    shortcuts; a small level is not worth them. Errors are counted from ``PERFECT_DB`` on.
+    A level's SNR is that of the mean of its texels' errors, and a tolerance in dB lets that mean grow by a share
+    t = 10^(dB/10) - 1. The error of the closed form rises with the eighth power of how much lobes differ, so few texels
+    come near the most that it may add to one of them, 3 t times the mean error (``benchmarks --only tolerance``
+    measures the result). Few nodes may add t / 3 of the mean error and an early stop t / 8 of the texel's own, since
+    every texel pays for these. The mean error is taken from random texels fitted without shortcuts, which does not pay
+    on a small level; it counts as that of ``PERFECT_DB`` at least.
     """
     if options.tolerance is None:
         return search
     share = 10.0 ** (0.1 * options.tolerance) - 1.0
-    # Where a start is too wide for its target the error is a plateau: a lax search would stop there.
+    # A start too wide for its target lies on a plateau of the error, where a lax search would stop.
     search = search._replace(tolerance=min(share / 8.0, _LAXEST))
     if size[0] * size[1] < _LEAST_TEXELS:
         return search
@@ -269,7 +280,7 @@ def _fit_level(
 ) -> Output:  # fmt: skip
     """Fit all texels of a level in pieces, on threads (the loop releases the GIL).
 
-    Texels do not know of each other, so the result does not depend on how they are shared out.
+    Texels are independent, so the result does not depend on the pieces or the threads.
     """
     texels = size[0] * size[1]
     output = make_output(texels)

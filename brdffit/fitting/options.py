@@ -8,7 +8,7 @@ from typing import ClassVar
 from brdffit.options import LobeOptions, option
 
 QUALITIES = ("draft", "standard", "fine")
-#: Under point lights "auto" is l2 and a free scale (the half-angle error of the papers); else displayed and bounded.
+#: "auto" is l2 with a free scale under point lights (the half-angle error of the papers), else displayed and bounded.
 LOSSES = ("auto", "displayed", "seen", "l2", "relative", "l1")
 SPECULARS = ("auto", "bounded", "free", "held")
 COLOURS = ("channels", "shared")
@@ -16,7 +16,7 @@ COLOURS = ("channels", "shared")
 
 @dataclass(frozen=True)
 class FitOptions(LobeOptions):
-    """Options of the nonlinear fit; the last five are those that a plan sets (``brdffit plan``)."""
+    """Options of the nonlinear fit. ``brdffit plan`` chooses ``lights``, ``reach`` and the effects for a scene."""
 
     group: ClassVar[str] = "fit"
 

@@ -1,4 +1,4 @@
-"""What draft, standard and fine mean, in one place."""
+"""The presets draft, standard and fine, and the preset that a tolerance in dB calls for."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ class Quality:
     """A preset of the fit.
 
     Attributes:
-        least: samples of a footprint along a pixel, at least (where a texel of the level is smaller than that many half
-            texels of the base, they stand between texels).
-        most: samples along a pixel, at most; beyond, samples are random points of wider strata.
-        room: samples of a footprint in all, where steep normals have strata cut up.
-        step: lobe widths that the normal may turn from one sample to the next.
-        merge: lobe widths that it may turn between four texels for one sample to stand for all that lies there.
-        nodes: of the half-angle integral, from few to many, on levels 0 and 1; twice as many beyond.
-        trusted: disagreement of two half rules, as a share of the residual, above which a texel gets more nodes.
-        negligible: disagreement (relative squared error) that never does.
-        tolerance: share of the error that a step must still promise.
+        least: fewest samples of a footprint along one axis of a pixel.
+        most: most samples along one axis of a pixel. Where strata are wider than a base texel, each is sampled at a
+            random point.
+        room: most samples of a footprint in all, where strata are cut because the normal turns quickly.
+        step: lobe widths by which the normal may turn from one sample to the next.
+        merge: lobe widths by which the normal may turn between four texels for one sample to represent the whole patch.
+        nodes: of the half-angle integral, for the three rules from few to many; twice as many where a footprint spans
+            at least four base texels an axis.
+        trusted: disagreement of the two halves of a rule, as a share of the residual, above which a texel gets more
+            nodes.
+        negligible: disagreement (relative squared error) below which it never does.
+        tolerance: share of the error; a search stops when its next step promises less.
         iterations: most steps of a search.
     """
 
@@ -40,7 +42,7 @@ class Quality:
     iterations: int
 
 
-# `make tradeoff` says of each what the cheapest setting within 0.5, 0.1 and 0.02 dB of the best is.
+# `make tradeoff` measures the cheapest setting that stays within 0.5, 0.1 and 0.02 dB of the best, for each preset.
 _PRESETS = {
     "draft": Quality(4, 32, 128, 3.0, 1.5, (64, 128, 256), 0.3, 1e-3, 1e-2, 20),
     "standard": Quality(4, 128, 512, 2.5, 1.0, (160, 320, 640), 0.2, 1e-4, 2e-3, 40),
@@ -57,15 +59,15 @@ def get_quality(name: str) -> Quality:
     return _PRESETS[one_of("quality", name, QUALITIES)]
 
 
-#: From this many dB of tolerance on, a preset's sampling of footprints will do.
+#: The preset whose sampling of footprints serves tolerances from this many dB on.
 _SAMPLING = ((0.3, "draft"), (0.05, "standard"), (0.0, "fine"))
-# Five parameters fitted to N nodes lose about 5 / N of the error, 22 / N dB; the low-discrepancy rule does better.
+# Five parameters fitted to N random nodes add about 5 / N to the error, 22 / N dB; low-discrepancy nodes add less.
 _NODES_TIMES_DB = 16.0
 _FEWEST, _MOST = 64, 1024
 
 
 def quality_of(options: FitOptions) -> Quality:
-    """The preset that was asked for, or what a tolerance in dB calls for.
+    """The preset that the options name, or the one that their tolerance in dB calls for.
 
     Raises:
         UnknownNameError: for an unknown preset.

@@ -1,19 +1,20 @@
-"""Refinement of whole levels for what a renderer makes of them between texels and between levels.
+"""Refinement of whole levels for the lobes that a renderer interpolates between texels and between levels.
 
-A texel's fit answers for its own centre, but a renderer interpolates (Baker asks for levels that are optimal under
-bilinear reconstruction, Kemppinen et al. 2023 for a trilinear loss). Here the per-texel optimum is the start, and all
-texels of a level move together so that the mean error of the *interpolated* lobe falls: at texel centres, between two
-texels and between four, and, where a coarser level follows, at the same points half a level further down (F is the lobe
-of the mean of both levels' values there, T that of the footprint between). Centres count as much as any other point:
-left out, a level is sharpened until what lies between is right, and every pixel that meets a texel is wrong.
+A texel is fitted at its own centre, but a renderer interpolates (Baker asks for levels that are optimal under bilinear
+reconstruction, Kemppinen et al. 2023 for a trilinear loss). Refinement starts from the fitted texels and moves them
+together so that the mean error of the *interpolated* lobe falls: at texel centres, between two texels, between four,
+and, where a coarser level follows, at the same points halfway to that level (there F is the lobe of the mean of both
+levels' values, and T belongs to the footprint of intermediate size). Centres count as much as other points: without
+them a level is sharpened until the points between are right, and every pixel that meets a texel centre is wrong.
 
-The error of a point is relative to its own <T,T>, as in a level's SNR: it is the figure that the fit reports, and dark
-or rough parts of a texture count as much as bright and sharp ones.
+The error of a point is relative to its own <T,T>, as in a level's SNR, so that dark or rough parts of a texture count
+as much as bright and sharp ones.
 
-Levels are refined from the coarsest up, each against the one below as it then stands. A level is cut into tiles; a tile
-is searched by L-BFGS-B (Byrd et al. 1995) with all the points that its texels touch, everything outside held, and takes
-the result only if the error of those points falls: so the level's error never rises. Tiles of one colour do not touch
-each other's points and may be worked on at once; colours follow each other, so threads change nothing.
+Levels are refined from the coarsest to the finest, each against the coarser level as refined before. A level is cut
+into tiles. Each tile is searched by L-BFGS-B (Byrd et al. 1995) over all points that its texels touch, with everything
+outside held, and keeps the result only if the error of those points falls; so a level's error never rises. Tiles of one
+colour share no points and are searched in parallel; colours follow each other, so the result does not depend on the
+threads.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ from brdffit.methods import Pyramid
 from brdffit.svbrdf import Svbrdf
 
 _ITERATIONS, _TOLERANCE = 30, 1e-3
-# Mean relative squared error that is nothing to improve on: -60 dB, near what float32 sums can tell.
+# Mean relative squared error below which a tile is left as it is: 60 dB, near the resolution of float32 sums.
 _NEGLIGIBLE = 1e-6
 
 
@@ -65,10 +66,10 @@ class Refined(NamedTuple):
 def refine_pyramid(
     pyramid: Pyramid, base: Base, rules: list[LevelRules], search: Search, kernels: ModelKernels, first: int = 0
 ) -> None:
-    """Refine the levels of a fitted pyramid in place, from the coarsest to ``first``, and note what came of it.
+    """Refine the levels of a fitted pyramid in place, from the coarsest to ``first``, and add a note of the gain.
 
     Args:
-        rules: of each level, as it was fitted. Others as in ``refine_level``.
+        rules: sampling of each level, as it was fitted. Others as in ``refine_level``.
     """
     told = []
     for mip_level in reversed(range(first, len(pyramid))):
@@ -99,7 +100,7 @@ def refine_level(
         base: what it was fitted to.
         points: see ``sample_points``.
         rule: point set (3, N) of the half-angle integral at each point, see ``quadrature.lattice``.
-        search: what is free, the bounds of the roughness and the density, as the fit has them; shapes are held.
+        search: free parameters, bounds of the roughness and density of half vectors, as in the fit. Shapes are held.
         kernels: of the pair of models.
         threads: None takes all cores. The result does not depend on it.
     """
@@ -123,7 +124,7 @@ def refine_level(
         log_roughness=theta[..., 2:5].astype(np.float32),
         specular=theta[..., 5:8].astype(np.float32),
     )
-    # Texels that did not move keep their very bits.
+    # Texels that did not move keep their exact values.
     still = np.all(texels.theta == texels.start, axis=1).reshape(level.size)
     for new, old in ((refined.normal, level.normal), (refined.specular, level.specular)):
         new[still] = old[still]
@@ -141,7 +142,7 @@ class _Texels:
         self.theta, self.shape = parameters_of(level)
         self.start = self.theta.copy()
         self.tabulate, self.errors = tables_kernel(), interpolation_kernel(level.model)
-        # A point's error is noted by every tile that touches it: the first sees it before, the last after.
+        # Every tile that touches a point records its error: the first one "before", the last one "after".
         grid = [2 * length if self.wraps else 2 * length - 1 for length in self.size]
         self.before = np.full((len(points), *grid), np.nan)
         self.after = self.before.copy()
@@ -156,7 +157,7 @@ class _Texels:
         self.after[block.places] = block.errors
         if not (math.isfinite(start) and start > _NEGLIGIBLE * len(block.errors)):
             return
-        # What is stored is what is judged.
+        # Judge the rounded values, for these are stored.
         theta[block.core] = block.search(theta[block.core], start).astype(np.float32)
         if block.total(theta) < start:
             self.theta[block.texels[block.core]] = theta[block.core]
@@ -209,7 +210,7 @@ class Block:
         self.held, self._shape = level.theta[texels], level.shape[texels]
 
     def total(self, theta: NDArray) -> float:
-        """Sum of the points' relative squared errors, all texels (n, 8) given; infinite where it is not a number."""
+        """Sum of the points' relative squared errors for all texels (n, 8); infinite where it is not finite."""
         self._kernel(
             *self._tables, channels_of(theta, self._shape), self._log_normalisation, self.errors, self._gradient
         )
@@ -235,7 +236,7 @@ class Block:
         """Parameters (n, 8) of the tile's own texels where L-BFGS-B ends, inside their bounds."""
         columns = _columns(self._search)
         unit = np.ones_like(start)
-        # A lobe's width of the normal, a factor e of alpha^2, all of the colour: what moves the error alike.
+        # Changes of about the same effect: the normal by a lobe's width, alpha^2 by a factor e, the colour by itself.
         unit[:, 0:2] = np.exp(0.25 * (start[:, 2:3] + start[:, 3:4])) * (1.0 + np.square(start[:, 0:2]).sum(1))[:, None]
         unit[:, 5:8] = np.maximum(start[:, 5:8].max(axis=1, keepdims=True), 1e-4)
 
@@ -261,7 +262,7 @@ class Block:
 
 
 def _columns(search: Search) -> NDArray:
-    """(k, 8) directions that texels may move in."""
+    """Directions (k, 8) in which the parameters of a texel may move."""
     identity = np.eye(PARAMETERS)
     free = [identity[0:2]] if search.free & FREE_NORMAL else []
     free.append(identity[2:5] if search.free & FREE_ANISOTROPY else identity[2:3] + identity[3:4])
@@ -269,7 +270,7 @@ def _columns(search: Search) -> NDArray:
 
 
 def _clamped(theta: NDArray, search: Search) -> NDArray:
-    """A copy of (n, 8) with log eigenvalues within their bounds; texels inside them keep their very numbers."""
+    """A copy of (n, 8) with log eigenvalues within their bounds; texels inside the bounds keep their exact values."""
     logs, _, _, (cos, sin) = eigen(theta)
     inside = np.clip(logs, search.log_low, search.log_high)
     out = theta.copy()

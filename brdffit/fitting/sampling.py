@@ -1,4 +1,4 @@
-"""The fit of some texels of a level alone, and their measure: for benchmarks, trade-offs and plans."""
+"""Fit and measure a sample of a level's texels: for benchmarks, trade-offs and plans."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from brdffit.halfangle.measure import DENSE_NODES, DENSE_SAMPLES, Measured, meas
 from brdffit.models import Model, get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
 
-#: Pieces that texels are dealt out in, per thread.
+#: Pieces into which texels are divided, per thread.
 _PIECES = 4
 
 
@@ -43,8 +43,8 @@ class LevelSample:
         svbrdf: the base.
         mip_level: the level.
         columns, rows: (n,) int64.
-        options: of the bake; quality, what is free and the effects may be given anew for each fit. A level out of reach
-            is fitted all the same: that is what reaching it would bring.
+        options: of the bake; ``fit`` may be given others. ``reach`` is ignored: a level outside it is fitted too.
+        base: ``svbrdf`` packed for the kernels, where the caller has it already.
         threads: worker threads; None takes all cores.
     """
 
@@ -65,7 +65,7 @@ class LevelSample:
         return len(self.columns)
 
     def kernels(self, float_width: int = 32) -> ModelKernels:
-        """Kernels of the base's and the level's model, with all effects."""
+        """Kernels for the models of the base and of the level, with all effects on."""
         return model_kernels(self.source.name, self.target.name, float_width)
 
     def subset(self, count: int) -> LevelSample:
@@ -76,20 +76,20 @@ class LevelSample:
         return few
 
     def on_threads(self, threads: int) -> LevelSample:
-        """The same texels, worked on by so many threads."""
+        """The same texels, fitted and measured by this many threads."""
         other = copy.copy(self)
         other.threads = threads
         return other
 
     def at(self, mip_level: int, columns: NDArray, rows: NDArray) -> LevelSample:
-        """Texels of another level of the same base; what was made of the base is shared."""
+        """Texels of another level of the same base. Arrays derived from the base are shared."""
         other = copy.copy(self)
         other.mip_level, other.columns, other.rows, other._averages = mip_level, columns, rows, {}
         other.size = level_sizes(self.base_size, mip_level + 1)[mip_level]
         return other
 
     def seen(self, options: FitOptions | None = None) -> Seen:
-        """What a fit under these options sees of the base; made once."""
+        """What a fit under these options sees of the base; computed once for each choice of effects."""
         options = options or self.options
         effects = options.colour, options.correlation, options.coupling
         if effects not in self._seen:
@@ -97,7 +97,7 @@ class LevelSample:
         return self._seen[effects]
 
     def settings(self, options: FitOptions | None = None, quality: Quality | None = None) -> tuple[LevelRules, Search]:
-        """How this level is sampled and searched; under a tolerance it costs a few hundred fits to know."""
+        """How this level is sampled and searched. Under a tolerance this takes the fits of a few hundred texels."""
         options = options or self.options
         chosen = quality or quality_of(options)
         pixel_filter = get_pixel_filter(options.pixel_filter)
@@ -111,10 +111,10 @@ class LevelSample:
         self, options: FitOptions | None = None, quality: Quality | None = None, float_width: int = 32,
         settings: tuple[LevelRules, Search] | None = None,
     ) -> tuple[Lobes, Output]:  # fmt: skip
-        """The lobes of these texels, and all that the fit says of them.
+        """Fit these texels; returns their lobes and the full output of the fit.
 
-        ``quality`` overrides the preset of the options, ``settings`` what ``settings()`` would find (effects are those
-        of the options in any case).
+        ``quality`` overrides the preset of the options. ``settings`` replaces the result of ``settings()``; effects
+        follow the options in any case.
         """
         options = options or self.options
         rules, search = settings or self.settings(options, quality)
@@ -134,12 +134,13 @@ class LevelSample:
         return Lobes(theta, output.specular.astype(np.float64)), output
 
     def best(self, given: list[Lobes]) -> Lobes:
-        """The best lobes of these texels that ``brdffit.fitting.solvers.oracle`` finds, their scale free.
+        """The best lobes of these texels that ``brdffit.fitting.solvers.oracle`` finds, with a free scale.
 
-        By its own rule they are never worse than any of those given, one lobe a texel each. Effects that the options
-        leave out are simulated all the same. Takes hundreds of times as long as the fit (``brdffit tradeoff``).
+        ``given``: lobes to start from as well, one a texel each; by the oracle's own rule the result is never worse
+        than any of them. Effects that the options leave out are simulated all the same. Takes hundreds of times as long
+        as the fit (``brdffit tradeoff``).
         """
-        # Its optimisers are two libraries that a bake has no use for.
+        # Imported here: a bake does not need the oracle's two optimisation libraries.
         from brdffit.fitting.solvers import oracle
 
         search = search_settings(self.options, quality_of(self.options), self.base, self.source, self.target)
@@ -151,9 +152,9 @@ class LevelSample:
         return Lobes(found.theta, found.scale)
 
     def averages(self, options: FitOptions) -> dict[str, NDArray]:
-        """Averages (n, 3), by name, of images that a fit under these options does not see.
+        """Averages (n, 3), by name, of the images that a fit under these options does not see.
 
-        They are made once; subsets that are taken afterwards have them too.
+        They are computed once and shared with subsets that are taken afterwards.
         """
         seen, pixel_filter = self.seen(options), options.pixel_filter
         for name in seen.averaged:
@@ -167,7 +168,7 @@ class LevelSample:
     def measure(
         self, versions: list[Lobes], nodes: int = DENSE_NODES, samples: tuple[int, int] = DENSE_SAMPLES
     ) -> Measured:
-        """Error and energy (M, n) of M versions, all against one table a texel."""
+        """Error and energy (M, n) of M versions of the lobes, all measured against one table a texel."""
         theta, scale = (np.stack([pair[k] for pair in versions]) for k in range(2))
         error, energy = np.zeros(theta.shape[:2]), np.zeros(theta.shape[:2])
 
@@ -182,7 +183,8 @@ class LevelSample:
         return Measured(error, energy)
 
     def _in_parts(self, work: Callable[[slice], None]) -> None:
-        """On threads, texels dealt out in turn (the loops release the GIL); one alone first, for it may compile."""
+        """Run ``work`` on slices of the texels in threads (the loops release the GIL); the first texel alone, which may
+        compile."""
         work(slice(0, 1))
         with ThreadPoolExecutor(self.threads) as pool:
             bounds = np.linspace(1, len(self), _PIECES * self.threads + 1).astype(int)

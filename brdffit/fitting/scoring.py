@@ -1,4 +1,4 @@
-"""What a full table says of a lobe: how a search is aimed, the best scale and residual, and whether to believe it."""
+"""A lobe judged on a tabulated target: the scalar target of a search, the best scale, the residual, the coverage."""
 
 from __future__ import annotations
 
@@ -17,12 +17,11 @@ from brdffit.models.elementary import alternate, reciprocal
 
 real = np.float32
 
-# What a fit reports of itself, besides its parameters.
+# Entries of a fit's report. ALBEDO: albedo of the footprint's lobes as rendered, 0 where a bounded scale should not
+# follow it. FILTERED: first of three entries, the filtered colour, 0 where negative filter weights make it negative.
 (
     RED_SCALE, GREEN_SCALE, BLUE_SCALE, RESIDUAL, DISAGREEMENT, COVERAGE, EVALUATIONS, TARGET_NORM, ALBEDO, FILTERED
 ) = range(10)  # fmt: skip
-# ALBEDO: of the footprint's lobes as they are rendered, 0 where a bounded scale should not follow it. The filtered
-# colour, (red, green, blue) from FILTERED on; 0 where a negative filter weight makes it negative.
 REPORT = FILTERED + 3
 
 
@@ -47,7 +46,7 @@ def target_norm(table):
 
 @kernel
 def share_out(table):
-    """Scale the weights of each size so that its <T,T> is its share. One size alone is left as it is."""
+    """Scale the weights of each size so that its <T,T> equals its share. A single size is left as it is."""
     if table.lights.shape[0] == 1:
         return
     for s in range(table.lights.shape[0]):
@@ -61,8 +60,8 @@ def share_out(table):
 
 @kernel
 def aim(table, colour, target_norm, setting):
-    """Set the scalar target for this colour: filtered colour if the scale is held or bounded, its direction if it is
-    free."""
+    """Set the scalar target S (see brdffit.halfangle.objective) for this colour: for the colour itself if the scale is
+    held or bounded, for its direction if the scale is free."""
     squared = colour[0] * colour[0] + colour[1] * colour[1] + colour[2] * colour[2]
     if setting[HELD] > 0.0:
         r, g, b = colour[0] / squared, colour[1] / squared, colour[2] / squared
@@ -81,17 +80,19 @@ def aim(table, colour, target_norm, setting):
 
 @inline
 def _bounded(scale, filtered, sky, dd, rendered, setting):
-    """The best scale of a channel, <T,D> / <D,D> = ``scale``, with the sky's term, times what the lobe loses as it is
-    ``rendered``, within the bounds."""
+    """The best scale of a channel within its bounds: ``scale`` = <T,D> / <D,D> combined with the sky's term, then times
+    ``rendered``, which makes up for light that the lobe loses to masking."""
     low, high = setting[SCALE_LOW] * filtered, setting[SCALE_HIGH] * filtered
     return min(max(rendered * min(max((scale * dd + sky * filtered) / (dd + sky), low), high), low), high)
 
 
 @kernel
 def settle_scale(theta, table, setting, values_kernel, log_normalisation, exponent, work, report):
-    """Best scale a channel (or the held one, already in ``report``), residual, and the disagreement of two half rules.
+    """Write the best scale of each channel (unless it is held), the residual, the disagreement of the two halves of
+    the rule and the coverage into ``report``.
 
-    The residual is summed as it stands, (T - rho D)^2, so that nothing cancels. ``work`` (24,) is scratch.
+    A held scale must be in ``report`` already. The residual is summed as (T - rho D)^2, so that nothing cancels.
+    ``work`` (24,) is scratch.
     """
     wide, frame = work[0:6], work[6:22]
     dd, r, g, b = real(0.0), real(0.0), real(0.0), real(0.0)
@@ -107,7 +108,7 @@ def settle_scale(theta, table, setting, values_kernel, log_normalisation, expone
             r += wd * red[j]
             g += wd * green[j]
             b += wd * blue[j]
-        # The values' kernel has left the lobe's frame in ``frame``.
+        # ``values_kernel`` leaves the lobe's frame in its scratch.
         seen = _coverage_of(frame, nodes, exponent)
         if s == 0 or abs(seen - 1.0) > abs(coverage_found - 1.0):
             coverage_found = seen
@@ -143,16 +144,17 @@ def settle_scale(theta, table, setting, values_kernel, log_normalisation, expone
 
 @kernel
 def coverage(theta, nodes, exponent, frame):
-    """A known integral over the lobe's peak, as the nodes see it, over its value: 1 where they stand close enough.
+    """A known integral over the lobe's peak by the nodes, divided by its exact value: 1 where they are dense enough.
 
-    Far from 1, what the nodes say of <D,D> is noise, and a search that lowers <D,D> by leaving the nodes behind would
-    find a hole instead of a lobe. (The integral of D (n.h) would not do: half of it is tail, which nodes far away see
-    well enough.) It is that of G^2 (n.h)^5 above the horizon, G the GGX lobe of the same normal and tensor whatever the
-    model. With slopes t scaled to the tensor, G = (n.h)^-4 (1 + t^2)^-2 / (pi sqrt(det Sigma)) and
-    dh = (n.h)^3 sqrt(det Sigma) dt, so that is the integral of (1 + t^2)^-4 / (pi^2 sqrt(det Sigma)) over what the
-    horizon leaves of the plane, n_z + g.Sigma^(1/2) t > 0 with g the z of the tangent axes. At a distance
-    d = n_z / sqrt(g' Sigma g) from the peak, across which the density is in proportion to (1 + x^2)^-7/2, that leaves
-    1 / (3 pi sqrt(det Sigma)) times 1/2 + (15 s - 10 s^3 + 3 s^5) / 16, s = d / sqrt(1 + d^2).
+    Far from 1, the nodes give noise for <D,D>, and a search could lower <D,D> by moving the lobe away from all nodes.
+    (The integral of D (n.h) would not show that: half of it is tail, which distant nodes sample well.) The integral is
+    that of G^2 (n.h)^5 above the horizon, with G the GGX lobe of the same normal and tensor for every model. With
+    slopes t scaled by the tensor, G = (n.h)^-4 (1 + t^2)^-2 / (pi sqrt(det Sigma)) and
+    dh = (n.h)^3 sqrt(det Sigma) dt, so it is the integral of (1 + t^2)^-4 / (pi^2 sqrt(det Sigma)) over the half-plane
+    above the horizon, n_z + g.Sigma^(1/2) t > 0 with g the z components of the tangent axes. The border of that
+    half-plane lies at the distance d = n_z / sqrt(g' Sigma g) from the peak, and the marginal density across it is in
+    proportion to (1 + x^2)^-7/2, so the integral is 1 / (3 pi sqrt(det Sigma)) times
+    1/2 + (15 s - 10 s^3 + 3 s^5) / 16, s = d / sqrt(1 + d^2).
 
     A node stands for the solid angle W / w(h), W its MEASURE. ``frame`` (9,) is scratch.
     """

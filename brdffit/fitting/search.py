@@ -1,4 +1,4 @@
-"""The search on a full table: from which starts, how often, and what is made of the best end."""
+"""The search on a tabulated target: its starts, when further ones are tried, and the choice of the best end."""
 
 from __future__ import annotations
 
@@ -50,32 +50,43 @@ from brdffit.halfangle.objective import (
 from brdffit.halfangle.quadrature import BLUE, GREEN, H_X, H_Y, H_Z, RED, WEIGHT
 from brdffit.halfangle.response import Response
 
-#: Relative squared error of a lobe beside its target, whatever the gradient says.
+#: Relative squared error above which a lobe misses most of its target, even if the search converged.
 BESIDE = 0.5
-# Peaks of the target that a search beside it tries, how far apart (in widths of the narrow lobe, squared), and by which
-# factors of log alpha^2 wider than the narrow lobe it starts there.
+# Where the search misses its target: how many of its peaks are tried, how far apart they must be (in squared widths of
+# the narrow lobe as the smallest light shows it), and what is added to the narrow lobe's log alpha^2 for each start.
 _PEAKS, _APART, _WIDER = 3, 16.0, (0.0, 1.5, 3.0)
-# Squared cosine between the colour that a target was aimed with and the best scale's, above which they are the same.
+# Squared cosine between the colour of the scalar target and that of the best scale, above which both count as equal.
 _SAME_COLOUR = 0.999
 
 
 class Search(NamedTuple):
-    """How the search goes on, the same for all texels.
+    """Settings of the search, the same for all texels of a level.
 
-    ``free``: mask of what is fitted; ``scale``: what holds the scale (``FREE``, ``HOLDS``, ``BOUNDED``), and its least
-    and greatest value in units of the filtered colour's; ``energy``: share of a sky that sees the energy alone;
-    ``exponent``: of z.h in the half-angle density; ``step``: how many lobe widths the normal may turn from one sample
-    of the footprint to the next; ``tolerance``: share of the error that a step must still promise; bounds of the log
-    eigenvalues and of the shape; ``same_model``: base and pyramid share a lobe model; ``trusted``: largest disagreement
-    of two half rules, as a share of the residual, that is not refined; ``negligible``: disagreement (relative squared
-    error) that never is; ``crowd``: samples a stratum, in the mean, above which the first rule is passed over (16
-    strata count for twice as many); ``floor``: relative squared error that few nodes, and an early stop, may cost a
-    texel each; ``allowed``: that the closed form may; ``loss``: a code of brdffit.fitting.losses; ``sky``: share of an
-    even sky in what the diffuse colour is fitted to; ``poor``: relative squared error above which further starts are
-    tried; ``rescaled``: whether the first inverse Hessian is scaled by the first step; ``rendered``: whether a bounded
-    scale makes good what a lobe loses as it is rendered (brdffit.halfangle.albedo); ``usual``: the rule that a texel
-    starts with; ``cell``: how many widths of a lobe, as the smallest light shows it, the normals of a cell of merged
-    lobes may span (0: none are merged); ``response``: the closed form's table.
+    Attributes:
+        free: mask of the fitted parameters (brdffit.fitting.bfgs).
+        scale: FREE, HOLDS or BOUNDED (brdffit.halfangle.objective).
+        scale_low, scale_high: bounds of a bounded scale, in units of the filtered colour.
+        energy: weight of a light from everywhere, which sees only a lobe's energy.
+        exponent: of z.h in the half-angle density, 1 or 3.
+        step: lobe widths by which the normal may turn from one sample of the footprint to the next.
+        tolerance: share of the error; the search stops when its next step promises less.
+        iterations: most steps of one search.
+        log_low, log_high, shape_low, shape_high: bounds of the log eigenvalues and of the shape.
+        same_model: whether base and pyramid share a lobe model.
+        trusted: disagreement of the two halves of a rule, as a share of the residual, above which a texel gets more
+            nodes.
+        negligible: disagreement (relative squared error) below which it never does.
+        crowd: a footprint with more samples than this times (16 + its strata) skips the first rule.
+        floor: relative squared error that few nodes and an early stop may each add to a texel.
+        allowed: relative squared error that the closed form may add.
+        loss: a code of brdffit.fitting.losses.
+        sky: weight of an even sky in the fit of the diffuse colour; the rest is point lights.
+        poor: relative squared error above which further starts are tried.
+        rescaled: whether the first step scales the first inverse Hessian.
+        rendered: whether a bounded scale makes up for light that a lobe loses to masking (brdffit.halfangle.albedo).
+        usual: index of the rule that a texel starts with, unless a tolerance lets it start with fewer nodes.
+        cell: side of a cell of merged lobes, in widths of a lobe as each light shows it (0: nothing is merged).
+        response: table of the closed form.
     """
 
     free: int
@@ -108,8 +119,13 @@ class Search(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Arrays that a worker allocates once: ``lobes`` (S, room, LOBE_COLUMNS) and how many there are, a size of light;
-    the rest as in ``fit_texel``."""
+    """Arrays that a worker allocates once.
+
+    ``lobes`` (S, room, LOBE_COLUMNS) and their ``counts`` (S,) for each size of light; ``theta`` (6,) the current
+    answer, ``best`` the closed-form start, ``average`` the averaged lobe, ``start`` and ``starts`` of searches;
+    ``colour`` (3,) of the scalar target; ``moment`` the diffuse moments, ``moments`` those of the lobes; ``report`` as
+    named in brdffit.fitting.scoring. The rest is scratch.
+    """
 
     lobes: NDArray
     counts: NDArray
@@ -130,7 +146,7 @@ class Scratch(NamedTuple):
 
 @inline
 def clamp_to_domain(theta, search):
-    """Eigenvalues and shape back within their bounds: the walls of the objective leave them a little outside."""
+    """Clamp the eigenvalues and the shape to their bounds: the walls of the objective leave them a little outside."""
     l1, l2, cos, sin = eigen_log(theta[2], theta[3], theta[4])
     if l1 > search.log_high or l2 < search.log_low:
         l1 = min(max(l1, search.log_low), search.log_high)
@@ -150,7 +166,7 @@ def within_domain(theta, search):
 
 @kernel
 def search_on(scratch, table, search, moments_kernel, values_kernel, log_normalisation):
-    """Aim at ``scratch.colour`` anew, search from where the last search ended, and settle."""
+    """Set the scalar target for ``scratch.colour``, search from where the last search ended, and settle the scale."""
     theta, space, setting, report = scratch.theta, scratch.space, scratch.setting, scratch.report
     aim(table, scratch.colour, report[TARGET_NORM], setting)
     value = evaluate_table(theta, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation)
@@ -165,7 +181,7 @@ def search_on(scratch, table, search, moments_kernel, values_kernel, log_normali
 
 @part
 def fit_on_nodes(scratch, table, search, follow, moments_kernel, values_kernel, log_normalisation):
-    """Fit the lobe to a full table; ``scratch.colour`` holds the filtered colour. Returns a status."""
+    """Fit the lobe to a tabulated target; ``scratch.colour`` holds the filtered colour. Returns a status."""
     theta, setting, report, colour = scratch.theta, scratch.setting, scratch.report, scratch.colour
     norm = target_norm(table)
     if not norm > 0.0:
@@ -181,7 +197,7 @@ def fit_on_nodes(scratch, table, search, follow, moments_kernel, values_kernel, 
     clamp_to_domain(theta, search)
     settle_scale(theta, table, setting, values_kernel, log_normalisation, search.exponent, scratch.work, report)
     if search.scale == FREE:
-        # The best scale's colour may differ from the mean colour that the target was aimed with: aim again.
+        # The best scale's colour may differ from the filtered colour of the scalar target: search once more with it.
         r, g, b = report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE]
         dot = r * colour[0] + g * colour[1] + b * colour[2]
         lengths = (r * r + g * g + b * b) * (colour[0] ** 2 + colour[1] ** 2 + colour[2] ** 2)
@@ -196,14 +212,14 @@ def fit_on_nodes(scratch, table, search, follow, moments_kernel, values_kernel, 
 
 @part
 def search_from_starts(scratch, table, search, follow, moments_kernel, log_normalisation):
-    """BFGS from the first ``follow`` starts, and from more while the best end is poor; it is left in scratch.theta.
+    """BFGS from the first ``follow`` starts, and from further ones while the best end is poor.
 
-    Returns its status.
+    The best end is left in ``scratch.theta``; returns its status.
     """
     starts, theta, space, setting = scratch.starts, scratch.theta, scratch.space, scratch.setting
     best_value, best_status = 1e30, FALLBACK
     for i in range(STARTS):
-        # A start too wide for its target sits on a plateau: it "converges" at once, at a large error. Try the next.
+        # A start too wide for its target lies on a plateau and "converges" at once, at a large error: try the next.
         if i >= follow and 1.0 + best_value < search.poor:
             break
         if i == 1:
@@ -240,10 +256,10 @@ def search_from_starts(scratch, table, search, follow, moments_kernel, log_norma
 
 @kernel
 def search_from_peaks(scratch, table, search, best_value, best_status, moments_kernel, log_normalisation):
-    """BFGS from the highest separate peaks of the target, each from the best of a few widths; returns the best status.
+    """BFGS from the highest separate peaks of the target, each from the best of a few widths.
 
-    Where a footprint is made of needles, the best lobe stands on one of them or on a cluster, and a descent from
-    anywhere else finds no slope that leads there.
+    Where a footprint consists of sharp, separate peaks, the best lobe lies on one of them or on a cluster, and the
+    gradient elsewhere does not lead there. Returns the status of the best end.
     """
     theta, start, space, setting = scratch.theta, scratch.start, scratch.space, scratch.setting
     nodes, trial = segment(table, 0), scratch.starts[PEAK]

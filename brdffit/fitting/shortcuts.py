@@ -1,8 +1,8 @@
-"""The closed form in place of a search, where the lobes of a footprint differ little: see brdffit.halfangle.response.
+"""A closed form instead of a search where the lobes of a footprint differ little (brdffit.halfangle.response).
 
-What it loses to the best lobe is of the order of the fourth moment of the lobes' differences x, and the error grows
-with its square: the excess, in units of the target's norm, is put at 1.5 E[r^4]^2 with r^2 = t1^2 + t2^2 + l^2 / 4. A
-test holds that against the truth on random footprints.
+Its lobe differs from the best one by the order of the fourth moment of the lobes' differences x, so its error exceeds
+the least one by the order of that moment's square. The excess, relative to <T,T>, is estimated as 1.5 E[r^4]^2 with
+r^2 = t1^2 + t2^2 + l^2 / 4; a test compares that with the truth on random footprints.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, NORMALISATION, SHA
 from brdffit.halfangle.response import ANSWERS, BY_FIRST, OFF_PLANE, OFF_SCALE, ROW, SECOND, THIRD
 
 _SAFETY = 1.5
-# Columns that hold a lobe's l, t1 and t2 meanwhile: nothing is in them yet, for the lobes are isotropic.
+# Columns that hold a lobe's l, t1 and t2 for now: NORMALISATION is not set yet, isotropic lobes need no further tensor.
 _LOG, _ALONG, _ACROSS = NORMALISATION, TENSOR + 1, TENSOR + 2
-#: An excess that is not known.
+#: The excess where the closed form does not apply.
 NOT_KNOWN = 1e30
-#: Below this all lobes are alike.
+#: Excess below which all lobes are alike.
 FLAT_EXCESS = 1e-23
-#: Scratch of ``closed_form``: moments, then one row of the table.
+#: Scratch of ``closed_form``: the moments, then one row of the table.
 WORK = THIRD + ROW
 
 
 @inline
 def _blend(response, log_alpha, cosine, row):
-    """The table's row at alpha and tilt, linear in between; returns whether it lies within the table."""
+    """Interpolate the table linearly at log alpha and the cosine of the tilt; returns whether both lie within it."""
     a = max((log_alpha - response.log_alpha) / response.log_alpha_step, 0.0)
     z = (cosine - response.cosine) / response.cosine_step
     last_a, last_z = response.table.shape[0] - 1, response.table.shape[1] - 1
@@ -46,13 +46,16 @@ def _blend(response, log_alpha, cosine, row):
 
 @inline
 def fitted_error(excess):
-    """About the error of the best lobe, 0.07 E[r^2]^2, where this is the closed form's excess."""
+    """Estimate of the best lobe's error, 0.07 E[r^4], from the excess of the closed form."""
     return 0.07 * math.sqrt(excess / _SAFETY)
 
 
 @kernel
 def _own_scales(lobes, count, m1, m2, norm, row, report):
-    """Scales of channels whose own lobes lie off the common middle, into ``report``[0:3]; returns the error left."""
+    """Correct the scales in ``report``[0:3] for channels whose own mean lobe differs from the common one.
+
+    Returns the error that the common lobe leaves in these channels.
+    """
     error = 0.0
     for channel in range(3):
         total, t1, t2, k = 0.0, 0.0, 0.0, 0.0
@@ -72,14 +75,15 @@ def _own_scales(lobes, count, m1, m2, norm, row, report):
 
 @kernel
 def closed_form(lobes, count, grey, kind, low, high, red, green, blue, response, allowed, theta, report, work):
-    """The lobe that answers to the footprint's moments, if it is within ``allowed`` of the best; returns its excess.
+    """Fill in the lobe of the closed form if its excess is within ``allowed``; returns the excess.
 
-    Lobes are isotropic and of one shape, not widened; SPECULAR columns sum to (red, green, blue). Where the estimate
-    (relative squared error above the best lobe's) is below ``allowed``, ``theta`` (6,) is filled, and ``report``[0:4]
-    with its scale and its own error; elsewhere nothing is. ``kind``, ``low``, ``high``: of the scale, as in ``Search``.
-    ``work`` (WORK,) is scratch.
+    The excess is the estimated relative squared error above that of the best lobe. If it is above ``allowed`` or the
+    closed form does not apply, ``report`` is left as it is and ``theta`` has no meaning; otherwise ``theta`` (6,) is
+    the lobe, ``report``[0:3] its scale and ``report``[3] its error. Lobes must be isotropic, of one shape, not widened;
+    SPECULAR columns sum to (red, green, blue). ``kind``, ``low``, ``high``: ``scale``, ``scale_low`` and ``scale_high``
+    of ``Search``. ``work`` (WORK,) is scratch.
     """
-    # Weights by which a scale a channel, and so the sum over channels, sees each lobe.
+    # Weight of each lobe in the error, which is summed over channels with a scale each.
     norm = red * red + green * green + blue * blue
     if not norm > 0.0:
         return NOT_KNOWN
@@ -148,7 +152,7 @@ def closed_form(lobes, count, grey, kind, low, high, red, green, blue, response,
         work[13] += w * t1 * kk
         work[14] += w * t2 * kk
         work[15] += w * kk * k
-    # SPREAD is twice the covariance within a sample's part of the footprint, in the frame of the pole's rotation.
+    # SPREAD is twice the covariance within a sample's part of the footprint, in the frame of the shortest rotation.
     half = 0.5 * inverse * inverse
     within = half * (s11 + s22)
     fourth = math.sqrt(fourth) + within
@@ -175,7 +179,7 @@ def closed_form(lobes, count, grey, kind, low, high, red, green, blue, response,
         for n in range(SECOND):
             error += work[m] * work[n] * row[OFF_PLANE + m * SECOND + n]
     n_x, n_y, n_z = x + alpha * (d1 * a_x - d2 * sin), y + alpha * (d1 * a_y + d2 * cos), z + alpha * d1 * a_z
-    # The stretch, from along the tilt to the axes of the pole's rotation.
+    # Turn the stretch from the axes along and across the tilt to those of the shortest rotation.
     c2, s2 = cos * cos - sin * sin, 2.0 * cos * sin
     theta[0], theta[1] = -n_x / n_z, -n_y / n_z
     theta[2], theta[3] = size + stretch * c2 - shear * s2, size - stretch * c2 + shear * s2

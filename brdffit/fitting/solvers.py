@@ -1,11 +1,11 @@
-"""Independent optimisers on the same objective, and the oracle: how good one lobe a texel can be at all.
+"""Independent optimisers on the same objective, and the oracle: the best that a single lobe can do for each texel.
 
-The oracle stands beside the fit to say what it left on the table, so it spends what the fit cannot: one dense rule for
-every texel (with a point set and jitter of its own: neither those that fit nor those that measure), many starts, and
-two optimisers that know nothing of ours, NLopt's LD_LBFGS (Nocedal 1980) and SciPy's L-BFGS-B (Byrd et al. 1995).
+The oracle shows how far the fit stays from the best lobe, so it spends time that the fit cannot: one dense rule for
+every texel (with a point set and jitter of its own, different from those of the fit and of the measure), many starts,
+and two independent optimisers, NLopt's LD_LBFGS (Nocedal 1980) and SciPy's L-BFGS-B (Byrd et al. 1995).
 
-Both walk in scaled coordinates, theta = start + P z with P P' the inverse Hessian that our own search starts from, and
-inside a box: without bounds LD_LBFGS stalls now and then and reports success.
+Both search in scaled coordinates, theta = start + P z with P P' the inverse Hessian that our own search starts from,
+and inside a box: without bounds LD_LBFGS sometimes stalls and reports success.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ORACLE_NODES = 4096
 _SHIFT, _SEED = (0.71, 0.411, 0.093), 77003
 _RANDOM_STARTS = 4
 _AIMS = 4
-# The objective is a float32 sum of about -1: nothing below this is more than rounding.
+# The objective is a float32 sum of about -1: a smaller change is rounding.
 _RESOLUTION = 1e-7
 _MOST_EVALUATIONS = 400
 
@@ -57,7 +57,7 @@ class Problem:
 
     Args:
         strata, points: the rule.
-        search: what is fitted, bounds and density, as the fit has them; the scale is always free.
+        search: free parameters, bounds and density, as in the fit; the scale is always free.
         kernels: of the pair of models.
         lights: sizes of light (S, 3), see ``brdffit.halfangle.lights.Table``; each has all points.
     """
@@ -78,7 +78,7 @@ class Problem:
         self.setting = np.zeros(SETTINGS)
         self.setting[LOG_LOW : SHAPE_HIGH + 1] = search.log_low, search.log_high, search.shape_low, search.shape_high
         self.evaluations = 0
-        # Typed by the functions themselves: unboxing a value of function type costs 150 microseconds a call.
+        # Compiled for these very functions: passing a value of function type would cost 150 microseconds a call.
         self._evaluate = compiled(
             evaluate_table, (self.gradient, self.table, self.setting, kernels.moments, kernels.log_normalisation,
                              self.gradient, self.scratch),
@@ -109,7 +109,7 @@ class Problem:
         self.set_colour(np.array([red, green, blue]))
         smallest = float(self.table.lights[0, BASE_BLUR])
         if smallest > 0.0:
-            # Starts are lobes as they are, not as a light shows them.
+            # Starts are lobes before any light widens them.
             for start in starts:
                 values, vectors = np.linalg.eigh([[start[2], start[4]], [start[4], start[3]]])
                 values = np.log(np.maximum(np.exp(values) - smallest, math.exp(self.search.log_low)))
@@ -122,14 +122,14 @@ class Problem:
         return starts
 
     def set_colour(self, colour: NDArray) -> None:
-        """Aim the scalar target at a colour's direction (white where there is none)."""
+        """Set the scalar target for the direction of a colour (white where the colour is black)."""
         colour = np.maximum(colour, 0.0)
         self.colour = colour if colour.sum() > 0.0 else np.ones(3)
         self.setting[HELD] = FREE
         aim(self.table, self.colour, self.report[TARGET_NORM], self.setting)
 
     def value(self, theta: NDArray) -> float:
-        """Relative squared error - 1, with walls; ``gradient`` is left behind. Infinite where it is not a number."""
+        """Relative squared error - 1, with walls; infinite where it is not finite. Updates ``gradient`` (6,)."""
         self.evaluations += 1
         value = self._evaluate(
             theta, self.table, self.setting, self.kernels.moments, self.kernels.log_normalisation, self.gradient,
@@ -138,7 +138,7 @@ class Problem:
         return value if math.isfinite(value) else math.inf
 
     def settle(self, theta: NDArray) -> tuple[float, NDArray]:
-        """Relative squared error and best scale (3,) of a lobe inside its bounds."""
+        """Relative squared error and best scale (3,) of a lobe that lies within its bounds."""
         self._settle(
             theta, self.table, self.setting, self.kernels.values, self.kernels.log_normalisation,
             self.search.exponent, self.work, self.report,
@@ -146,10 +146,10 @@ class Problem:
         return float(self.report[RESIDUAL]), self.report[0:3].copy()
 
     def scaled(self, start: NDArray) -> tuple[NDArray, NDArray]:
-        """Columns P (6, k) of the search around ``start``, and how far z may go (k,)."""
+        """Columns P (6, k) of the scaled coordinates around ``start``, and the bounds (k,) of |z|."""
         first_inverse(start, self.search.free, self.inverse)
         squares, directions = np.linalg.eigh(self.inverse)
-        # What is not free are the zeros among the eigenvalues, which ascend.
+        # Directions that are not free have eigenvalue 0; eigenvalues are in ascending order.
         held = PARAMETERS - directions_of(self.search.free)
         columns = directions[:, held:] * np.sqrt(squares[held:])
         reach = np.array([2.0 * STEEPEST_SLOPE, 2.0 * STEEPEST_SLOPE, 30.0, 30.0, 30.0, 30.0])
@@ -171,10 +171,10 @@ class Problem:
 
 
 def compiled(kernel: Any, data: tuple, functions: tuple = ()) -> Callable:
-    """The compiled function for arguments like these (and functions of these types): no dispatch is paid a call."""
+    """The compiled function for arguments like ``data`` (and ``functions`` of these types), without dispatch a call."""
     signature = (*map(numba_type, data), *functions)
     if signature not in kernel.overloads:
-        # Numba may fail to note it in a cache that names functions of another process; it is compiled by then.
+        # Saving to a cache that names functions of another process may fail; the function is compiled all the same.
         with contextlib.suppress(ReferenceError):
             kernel.compile(signature)
     return kernel.get_overload(signature)
@@ -188,7 +188,7 @@ def solve_nlopt(problem: Problem, start: NDArray) -> NDArray:
 def descend_by_nlopt(
     problem: Problem, start: NDArray, algorithm: int, most: int = _MOST_EVALUATIONS, reach: float = math.inf
 ) -> NDArray:
-    """theta (6,), the best that an algorithm of NLopt meets within ``most`` evaluations and ``reach`` search steps."""
+    """The best theta (6,) that an algorithm of NLopt visits within ``most`` evaluations and |z| <= ``reach``."""
     columns, limit = problem.scaled(start)
     limit = np.minimum(limit, reach)
 
@@ -210,7 +210,7 @@ def descend_by_nlopt(
     try:
         solver.optimize(np.zeros(len(limit)))
     except (nlopt.runtime_error, RuntimeError, ValueError):
-        pass  # A line search that ends in rounding; what it had found is in ``best``.
+        pass  # A line search that fails in rounding: ``best`` holds the result so far.
     return start + columns @ best[1]
 
 
@@ -253,10 +253,10 @@ def oracle(
 
     Args:
         base, base_size: of the set. level_size: (height, width). columns, rows: texels of the level, (n,) int64.
-        search: what is free, bounds and density exponent, as the fit has them (``held`` is ignored).
+        search: free parameters, bounds and density exponent, as in the fit (its ``scale`` is ignored: it is free).
         lights: sizes of light, as ``Problem`` takes them.
-        given: (M, n, 6) lobes to start from as well; the result is never worse than any of them by its own rule.
-        nodes, samples: of the dense rule. solvers: the first takes all starts, the others the best few.
+        given: (M, n, 6) further lobes to start from; by the oracle's own rule the result is never worse than any.
+        nodes, samples: of the dense rule. solvers: the first runs from all starts, the others from the two best ends.
         threads: the tables, most of the cost, release the GIL. The result does not depend on it.
     """
     strata = dense_strata(base_size, level_size, pixel_filter, samples)._replace(seed=_SEED)
@@ -284,13 +284,13 @@ def oracle(
 def _best(
     problem: Problem, starts: list[NDArray], solvers: tuple[str, ...], noise: np.random.Generator
 ) -> tuple[NDArray, NDArray, float]:
-    """Best (theta, scale, error) from all starts, their random neighbours, and the colour aimed until it settles."""
+    """Best (theta, scale, error) from all starts and random neighbours, repeated until the target's colour settles."""
     starts = [problem.clamped(start) for start in starts]
     if not problem.report[TARGET_NORM] > 0.0:
         return starts[0], np.zeros(3), 0.0
     starts.sort(key=problem.value)
     for k in range(_RANDOM_STARTS):
-        # Neighbours of the better half: a lobe's width aside, up to a few times wider or narrower.
+        # Neighbours of the better half of the starts: turned by about a lobe's width, a few times wider or narrower.
         centre = starts[k % max(1, len(starts) // 2)]
         columns, _ = problem.scaled(centre)
         starts.append(problem.clamped(centre + columns @ noise.normal(0.0, 1.0, columns.shape[1])))

@@ -1,4 +1,4 @@
-"""How the fit of a texel ended: failure is data."""
+"""How the fit of a texel ended: one status a texel, each with a sentence that says what to do."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NOT_REACHED = 9
 FEW_NODES = 10
 POOR = 11
 
-#: Name and what it means, with advice where there is any; the index is what ``Level.status`` holds.
+#: Name and meaning of each status, with advice where there is any; ``Level.status`` holds the index.
 STATUSES: tuple[tuple[str, str], ...] = (
     ("kept", "The texel was left as authored."),
     ("flat", "All lobes of the footprint are alike: the answer is exact and nothing was searched."),

@@ -72,23 +72,24 @@ from brdffit.halfangle.quadrature import ALPHA_SQUARED, MIXTURE, SHAPE, WIDE_AXE
 
 real = np.float32
 
-# A mean spread below this (in units of the lobe's width) stretches lobes so little that round ones will do, whose table
-# is cheaper: an error of 1e-6.
+# A mean spread below this (in units of the lobe's width) stretches lobes so little that they are kept isotropic, which
+# makes their table cheaper, at an error of 1e-6.
 _NARROW_SPREAD = 0.002
-# A lobe is hidden from nodes that miss (or overrate) what they should see of it by this share.
+# Departures of the coverage from 1: above the first a lobe is hidden from the nodes and gets nodes of its own, above
+# the second its fit is given up.
 _HIDDEN, _LOST = 0.3, 0.6
-# Samples are many for a footprint that has so many strata more than it has.
+# Added to a footprint's strata where its samples are compared with them, so that small footprints may be cut up more.
 _FEW_STRATA = 16
-# Lobes whose alpha^2 is below so many of the smallest light's may look alike: those within a share of the error and
-# a floor. How far from the found lobe to the averaged one is tried.
+# Where the mean alpha^2 is below this multiple of the smallest light's, lobes may look alike: those whose errors differ
+# by less than a share plus a floor. Then the positions that are tried between the found lobe (0) and the averaged (1).
 _SHARP, _ALIKE, _ALIKE_FLOOR, _NEARER = 4.0, 0.02, 1e-2, (1.0, 0.75, 0.5, 0.25)
-#: How often a lobe that was found where no nodes stand may ask for nodes of its own.
+#: How often a texel may add nodes around a lobe that was found where there are none.
 GUARDS = 3
 
 
 @inline
 def spared(floor, nodes):
-    """Error up to which so few nodes will do: five parameters fitted to N of them follow their noise, about 5 e / N."""
+    """Error e up to which N nodes suffice: five parameters fitted to them follow their noise, which adds 5 e / N."""
     return floor * nodes / 5.0
 
 
@@ -97,11 +98,11 @@ def fit_texel(
     base, strata, column, row, search, scratch, rules,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
 ):  # fmt: skip
-    """Fit one texel: its answer is left in ``scratch.theta``, the rest in ``scratch.report``; returns a status.
+    """Fit one texel into ``scratch.theta`` (6,) and ``scratch.report``; returns a status.
 
-    Rules go from few nodes to many. A texel moves on where the two halves of a rule disagree by more than
-    ``search.trusted`` of the residual, or where its nodes do not see the lobe that was found; that lobe then draws
-    nodes of its own. ``scratch.best`` (6,) receives the closed-form start, to fall back on.
+    ``rules`` are ordered from few nodes to many. A texel takes the next rule where the two halves of a rule disagree by
+    more than ``search.trusted`` times the residual, and where its nodes miss the lobe that was found; that lobe then
+    gets nodes of its own. ``scratch.best`` (6,) receives the closed-form start, to fall back on.
     """
     lobes, theta, report, lights = scratch.lobes[0], scratch.theta, scratch.report, rules[0].lights
     count, spread = gather_lobes(
@@ -128,7 +129,7 @@ def fit_texel(
     count = scratch.counts[0]
     flat = footprint_moments(lobes, count, lobes_isotropic, scratch.moments)
     if sized:
-        # Starts are lobes as they are, not as a light shows them.
+        # Starts are lobes before any light widens them.
         take_from_tensor(scratch.moments, lights[0, BASE_BLUR], math.exp(search.log_low))
     first_start(scratch.moments, isotropic, scratch.starts)
     colour = scratch.colour
@@ -153,7 +154,7 @@ def fit_texel(
         tier = 0
     guards, mending = 0, False
     while True:
-        # A refined texel has separated peaks more often than not: the highest is worth a search of its own.
+        # A texel that needs more nodes often has separate peaks: the highest gets a search of its own.
         follow = STARTS if mending else 2 if tier > search.usual else 1
         status = fit_by_rule(
             base, lobes_isotropic, some, scratch, rules[tier], search, follow,
@@ -162,7 +163,7 @@ def fit_texel(
         hidden = abs(report[COVERAGE] - 1.0) > _HIDDEN
         doubtful = report[DISAGREEMENT] > search.trusted * report[RESIDUAL] + max(search.negligible, search.floor)
         if tier < search.usual and report[RESIDUAL] > spare and not doubtful and not hidden:
-            # Only more nodes than a tolerance spared: the search goes on from where it ended.
+            # The tolerance does not allow so few nodes after all: the next rule continues from this lobe.
             doubtful = True
             for p in range(PARAMETERS):
                 scratch.starts[LEAN, p] = theta[p]
@@ -177,7 +178,7 @@ def fit_texel(
             lobes_isotropic = False
             guards += 1
         elif report[RESIDUAL] > BESIDE and not mending:
-            # A lobe beside its target is no answer: all starts, the target's own peaks, and more nodes for them.
+            # The lobe misses its target: try all starts and the target's own peaks, with more nodes.
             mending = True
         elif not doubtful or tier == len(rules) - 1:
             break
@@ -185,7 +186,7 @@ def fit_texel(
     if status == CONVERGED and tier != search.usual:
         status = REFINED if tier > search.usual else FEW_NODES
     if abs(report[COVERAGE] - 1.0) > _LOST:
-        # Still out of sight of its nodes: nothing that they say of it counts.
+        # The nodes still miss the lobe, so its residual means nothing.
         status = FALLBACK
         fall_back(scratch, rules[tier], search, values_kernel, log_normalisation)
     elif report[RESIDUAL] > BESIDE:
@@ -196,7 +197,7 @@ def fit_texel(
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         return NO_SPECULAR
     if search.scale != FREE and report[FILTERED] + report[FILTERED + 1] + report[FILTERED + 2] <= 0.0:
-        # Negative filter weights leave no colour to hold: black, and all of the target is missed.
+        # Negative filter weights leave no colour to hold the scale at: the lobe is black and misses all of its target.
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         report[RESIDUAL] = 1.0
     return status
@@ -204,7 +205,8 @@ def fit_texel(
 
 @part
 def average_of(lobes, count, average):
-    """``average`` (6,) <- the mean normal and the mean log alpha^2 of lobes; returns whether it is a lobe."""
+    """``average`` (6,) <- the mean normal and the mean log alpha^2 of isotropic lobes; returns whether the normal is
+    not too steep."""
     x, y, z, log = 0.0, 0.0, 0.0, 0.0
     for i in range(count):
         w = lobes[i, MIXTURE]
@@ -221,10 +223,10 @@ def average_of(lobes, count, average):
 
 @part
 def prefer_average(scratch, table, search, moments_kernel, values_kernel, log_normalisation):
-    """Where the lights do not tell the lobe that was found from the averaged one, or from one between, take that.
+    """Replace the lobe that was found by the averaged one, or by one between, if the lights hardly distinguish them.
 
-    Lobes much sharper than the smallest light look alike but for their tails, which go as alpha^2: a wide one glows
-    where the base is dark.
+    Lobes much sharper than the smallest light differ only in their tails, which are in proportion to alpha^2: too wide
+    a lobe glows where the base is dark.
     """
     theta, start, setting, space = scratch.theta, scratch.start, scratch.setting, scratch.space
     found = evaluate_table(theta, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation)
@@ -248,10 +250,10 @@ def prefer_average(scratch, table, search, moments_kernel, values_kernel, log_no
 
 @part
 def see_lobes(base, lights, count, spread, cell, scratch):
-    """What each size of light sees of the ``count`` lobes of ``scratch.lobes[0]``, into ``scratch.lobes[s]``.
+    """Write into ``scratch.lobes[s]`` the ``count`` lobes of ``scratch.lobes[0]`` as each size of light shows them.
 
-    Lobes that a light hardly tells apart are merged (``cell`` > 0), from one size to the next; then every lobe is
-    widened by what its own normals spread and by the light. Returns whether all are round still.
+    Lobes that a light hardly distinguishes are merged (``cell`` > 0), from one size to the next; then every lobe is
+    widened by the spread of its own normals and by the light. Returns whether all lobes are still isotropic.
     """
     sizes = lights.shape[0]
     scratch.counts[0] = count
@@ -285,7 +287,7 @@ def see_lobes(base, lights, count, spread, cell, scratch):
 
 @part
 def fall_back(scratch, table, search, values_kernel, log_normalisation):
-    """The closed-form start with the filtered colour, and its residual on the nodes of a rule."""
+    """Take the closed-form start with the filtered colour, and compute its residual on the nodes of a rule."""
     theta, setting, report = scratch.theta, scratch.setting, scratch.report
     for p in range(PARAMETERS):
         theta[p] = scratch.best[p]

@@ -1,4 +1,4 @@
-"""Sample points of a level, between its texels and halfway to the next level; their tables, and tiles of texels."""
+"""Sample points of a level, between its texels and halfway to the next level, with their tables; tiles of texels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from brdffit.halfangle.quadrature import lattice, tabulate_type
 from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf
 
-#: Texels along the side of a tile, about.
+#: Approximate side of a tile in texels.
 TILE = 16
 
 
@@ -29,7 +29,7 @@ class Points(NamedTuple):
     """One kind of sample points of a level.
 
     ``strata`` of their footprints, on a grid of half texels whose even points are texel centres; ``room`` for lobes;
-    ``coarser``: channels (h, w, 10) of the level that makes up half of what is shaded there, or None.
+    ``coarser``: channels (h, w, 10) of the coarser level that a renderer mixes in by half there, or None.
     """
 
     strata: Strata
@@ -40,7 +40,7 @@ class Points(NamedTuple):
 def sample_points(
     rules: LevelRules, size: tuple[int, int], coarser_rules: LevelRules | None = None, coarser: Svbrdf | None = None
 ) -> list[Points]:
-    """Sample points of a level of ``size``: on it and, given the level that follows, halfway to that."""
+    """Sample points of a level of ``size``: on the level and, if the next coarser one is given, halfway to it."""
     here = rules.strata
     # Point 2 k of the halved grid is the centre of texel k: (2 k + 1/2) scale / 2 + scale / 4.
     halved = here._replace(
@@ -73,14 +73,14 @@ def parameters_of(level: Svbrdf) -> tuple[NDArray, NDArray]:
 
 
 def coloured_tiles(size: tuple[int, int], wraps: bool) -> Iterator[list[tuple[range, range]]]:
-    """Lists of (rows, columns) of tiles that do not touch each other; together they cover the level once."""
+    """Yield lists of tiles (rows, columns); those of a list share no sample points, all lists cover the level once."""
     axes = []
     for length in size:
         count = max(1, round(length / TILE))
         edges = [length * i // count for i in range(count + 1)]
         colours: list[list[range]] = [[], [], []]
         for i in range(count):
-            # An odd number of tiles around a ring takes a third colour.
+            # Around a ring of an odd number of tiles the last one needs a third colour.
             last_of_ring = wraps and i == count - 1 and count % 2 == 1 and count > 1
             colours[2 if last_of_ring else i % 2].append(range(edges[i], edges[i + 1]))
         axes.append([colour for colour in colours if colour])
@@ -90,8 +90,8 @@ def coloured_tiles(size: tuple[int, int], wraps: bool) -> Iterator[list[tuple[ra
 
 
 def axis_points(part: range, length: int, wraps: bool) -> tuple[NDArray, NDArray, NDArray]:
-    """Points (n,) of an axis that the texels of ``part`` touch, counted in half texels from the first texel's centre;
-    the texels (n, 2) that each lies between, and their weights (n, 2)."""
+    """Points (n,) of an axis that the texels of ``part`` touch, in half texels from the centre of the first texel; the
+    texels (n, 2) between which each point lies, and their weights (n, 2)."""
     points = np.arange(2 * part.start - 1, 2 * part.stop)
     points = np.unique(points % (2 * length)) if wraps else points[(points >= 0) & (points < 2 * length - 1)]
     return points, *_between(0.5 * points, length, wraps)
@@ -131,7 +131,7 @@ def _tables(base, strata, points, columns, rows, exponent, lobes, nodes, norm, t
 
 @cache
 def tables_kernel() -> Any:
-    """``_tables`` compiled for function-typed arguments: once for all models."""
+    """``_tables``, compiled once for all models: their kernels are arguments of function type."""
     index, line = np.zeros(1, np.int64), np.zeros(1)
     nodes = np.zeros((1, 1, 1), np.float32)
     data = (example_base(), example_strata(), lattice(1), index, index, 3, np.zeros((1, 1)), nodes, line)

@@ -1,19 +1,19 @@
-"""What a lobe reflects of an even sky as it is rendered, with masking: what the half-angle density leaves out.
+"""The light of an even sky that a lobe reflects when it is rendered with masking, which the error integral ignores.
 
-The error integral compares lobes D(h). A renderer shades D(h) G2 / (4 n.l n.v) n.l, and there rough bumps and the wide
-lobe that stands for them part: every bump is turned to its viewer or not and hides nothing of the others, while the
-wide lobe is masked as a whole and ends at one horizon. On coarse sand seen from above (alpha 0.23 on bumps, 0.6 of the
-lobe) a quarter of the light is missing. So a bounded scale is multiplied by what all lobes of the footprint send to
-viewers over what the fitted one does, within its bounds.
+The error integral compares lobes D(h). A renderer shades D(h) G2 / (4 n.l n.v) n.l, and with that factor the lobes of
+rough bumps and the wide lobe fitted to them differ: each bump is masked by its own tilt and roughness only, while the
+wide lobe is masked as a whole and ends at one horizon. On coarse sand seen from above (alpha 0.23 on the bumps, 0.6 of
+the lobe) a quarter of the light is missing. So a bounded scale is multiplied, within its bounds, by the light that all
+lobes of the footprint send to viewers over the light that the fitted lobe sends.
 
-The table is of GGX, the masking of every lobe here (see brdffit.models.microfacet): the share that viewers, cosine-
-distributed about the normal of the texture as in the density, see of a lobe of alpha whose normal leans by an angle,
-under an even sky above the texture,
+The table is of GGX, whose masking every lobe here uses (see brdffit.models.microfacet). It holds the reflected share
+of an even sky above the texture, for a lobe of given alpha whose normal is tilted, averaged over viewers that are
+cosine-distributed about the normal of the texture, as in the half-angle density:
 
     a(alpha, cos) = E_v int D(h) G2 / (4 n.v) [n.l > 0, n.v > 0, l_z > 0] dl.
 
-A mirror (alpha = 0) sends v to l = 2 (n.v) n - v; with the mean over v that gives a = cos^2. Anisotropic lobes count as
-round ones of the same det Sigma.
+A mirror (alpha = 0) reflects v to l = 2 (n.v) n - v, and the mean over v is a = cos^2. Anisotropic lobes are treated as
+isotropic ones of the same det Sigma.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ import numpy as np
 from brdffit._jit import inline, kernel
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, SPECULAR, SPREAD, TENSOR
 
-# Rows: alpha = 0 to 1; columns: cos = 0 to 1; in eighths. By 2^17 points of a low-discrepancy sequence; the test draws
-# its own.
+# Rows: alpha from 0 to 1; columns: cos from 0 to 1; both in steps of 1/8. Integrated with 2^17 points of a
+# low-discrepancy sequence; the test draws its own.
 _ALBEDO = np.array(
     [
         (0.000, 0.016, 0.063, 0.141, 0.250, 0.391, 0.562, 0.766, 1.000),
@@ -45,7 +45,7 @@ _STEPS = 8
 
 @inline
 def albedo_at(alpha_squared, cosine):
-    """a(alpha, cos) of a lobe: bilinear in alpha and cos, both held to 0 to 1."""
+    """a(alpha, cos), interpolated bilinearly; both are clamped to [0, 1]."""
     x, y = _STEPS * min(math.sqrt(alpha_squared), 1.0), _STEPS * min(max(cosine, 0.0), 1.0)
     i, j = min(int(x), _STEPS - 1), min(int(y), _STEPS - 1)
     x, y = x - i, y - j
@@ -56,7 +56,7 @@ def albedo_at(alpha_squared, cosine):
 
 @kernel
 def albedo_of_lobes(lobes, count, isotropic):
-    """Mean albedo of the ``count`` lobes of a footprint, a colour of 1 each; 0 where filter weights leave none."""
+    """Mean albedo of the ``count`` lobes of a footprint, weighted by colour; 0 where filter weights leave no colour."""
     whole, reflected = 0.0, 0.0
     for i in range(count):
         lobe = lobes[i]
@@ -65,7 +65,7 @@ def albedo_of_lobes(lobes, count, isotropic):
             square = lobe[ALPHA_SQUARED]
         else:
             square = math.sqrt(max(lobe[TENSOR] * lobe[TENSOR + 1] - lobe[TENSOR + 2] ** 2, 1e-24))
-        # SPREAD is twice the covariance of normals: their mean leans by 1 - trace / 4.
+        # SPREAD is twice the covariance of the sample's normals: their mean cosine is less by the factor 1 - trace / 4.
         cosine = lobe[2] * (1.0 - 0.25 * min(lobe[SPREAD] + lobe[SPREAD + 1], 1.0))
         whole += w
         reflected += w * albedo_at(square, cosine)
@@ -74,5 +74,5 @@ def albedo_of_lobes(lobes, count, isotropic):
 
 @kernel
 def albedo_of(theta):
-    """Albedo of the lobe ``theta`` (6,), a colour of 1."""
+    """Albedo of the lobe ``theta`` (6,) with the scale 1."""
     return albedo_at(math.exp(0.5 * (theta[2] + theta[3])), 1.0 / math.sqrt(1.0 + theta[0] ** 2 + theta[1] ** 2))

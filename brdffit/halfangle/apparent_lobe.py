@@ -1,8 +1,8 @@
 """The base lobes that one footprint averages: samples of the bilinearly reconstructed base under the pixel filter.
 
-A renderer interpolates what the textures store: unit normals (then normalised), perceptual roughness (or the log tensor
-where the base is anisotropic) and linear colours. The footprint is cut into strata, one sample each; where strata are
-wider than texels the sample is jittered inside its stratum by a hash, so that no texel grid beats against the strata,
+A renderer interpolates the stored textures: normals (then made unit length), perceptual roughness (or the log tensor
+where the base is anisotropic) and linear colours. The footprint is cut into strata with one sample each. Where strata
+are wider than texels, a hash jitters each sample inside its stratum, so that strata do not alias with the texel grid
 and the result is the same on every machine.
 """
 
@@ -46,20 +46,20 @@ from brdffit.models import get_model
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 
-# Factor by which colours of a patch differ from which on their share in its average counts.
+# Ratio of the brightest to the darkest texel of a patch above which its gradient of colour is taken into account.
 _COLOURED = 1.05
 #: Entries of a footprint's diffuse moment, see ``gather_lobes``.
 DIFFUSE_MOMENT = 12
-# Samples of one stratum and axis at most: a mirror of alpha 0.002 beside a wall wants more than anyone can pay.
+# Most samples of a stratum along one axis: a mirror of alpha 0.002 beside a wall would need too many.
 _MOST_CUTS = 16
-# A footprint that asks for more samples than there is room for is gathered again with a longer step.
+# A footprint that needs more samples than there is room for is gathered again with a longer step.
 _STEP_RETRIES, _STEP_GROWTH = 3, 1.1
-# Share of the nodes that a guard draws.
+# Share of the nodes that a guard lobe draws.
 _GUARD_SHARE = 0.25
 
 
 class Base(NamedTuple):
-    """The base as kernels read it; arrays as in Svbrdf, ``perceptual`` (H, W) float32; ``widening`` as of its model."""
+    """The base as kernels read it: arrays of ``Svbrdf``, ``perceptual`` (H, W) float32, ``widening`` of ``Model``."""
 
     normal: NDArray
     perceptual: NDArray
@@ -81,9 +81,9 @@ class Strata(NamedTuple):
 
     ``x`` and ``y``: stratum centres relative to the footprint's centre, in base texels; ``weight_x`` and ``weight_y``
     sum to 1; ``jitter_x`` and ``jitter_y``: width of the jitter in base texels (0: none); ``scale_x`` and ``scale_y``:
-    base texels per texel of the level; ``seed`` tells levels apart; ``merge``: how many lobe widths the normal may turn
-    across the strata between four texels for one sample to stand for them all (0: never); ``light``: what the smallest
-    light adds to alpha^2, so that no lobe is seen narrower (0: a point).
+    base texels per texel of the level; ``seed`` of the jitter, another one for each level; ``merge``: how many lobe
+    widths the normal may turn across the strata between four texels for one sample to represent them all (0: never);
+    ``light``: alpha^2 that the smallest light adds to every lobe (0: a point).
     """
 
     x: NDArray
@@ -105,7 +105,7 @@ class Strata(NamedTuple):
 
 
 def example_base() -> Base:
-    """A base of one texel, for the types of its fields alone: kernels are compiled for them."""
+    """A base of one texel; kernels are compiled for the types of its fields."""
     image, plane = np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.float32)
     return Base(
         normal=image, perceptual=plane, log_roughness=image, specular=image, diffuse=image, shape=plane,
@@ -114,7 +114,7 @@ def example_base() -> Base:
 
 
 def example_strata() -> Strata:
-    """Strata of one sample, for the types of their fields alone."""
+    """Strata of one sample; kernels are compiled for the types of their fields."""
     line = np.zeros(1)
     return Strata(line, line, line, line, jitter_x=0.0, jitter_y=0.0, scale_x=1.0, scale_y=1.0, seed=0)
 
@@ -143,7 +143,7 @@ def base_of(svbrdf: Svbrdf, default_shape: float = 0.0) -> Base:
 
 
 def _plain(array: NDArray) -> NDArray:
-    """float32, contiguous and writable: the one array type that kernels are compiled for (copied only if it is not)."""
+    """The array as float32, contiguous and writable, the only type that kernels are compiled for; copied if needed."""
     return np.require(array, np.float32, ["C", "W"])
 
 
@@ -156,7 +156,7 @@ def strata(
     seed: int,
     merge: float = 0.0,
 ) -> Strata:
-    """Strata of a level's footprints: ``per_texel`` a base texel and axis, at most ``most`` an axis."""
+    """Strata of a level's footprints: ``per_texel`` along each axis of a base texel, at most ``most`` along an axis."""
     axes = []
     for base, level in zip(base_size, level_size, strict=True):
         scale = base / level
@@ -174,9 +174,9 @@ def strata(
 def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
     """Fill ``lobes`` with the footprint of texel (column, row); returns (how many, mean relative spread).
 
-    ``step`` is how many lobe widths the normal may turn from one sample to the next. Where that asks for more samples
-    than ``lobes`` has room for (one row is left for the defensive lobe), all of the footprint is sampled with a longer
-    step: were the room given to whoever comes first, one side of the footprint would be sharp and the other blurred.
+    ``step`` is how many lobe widths the normal may turn from one sample to the next. If that needs more samples than
+    ``lobes`` has room for (one row is left for the defensive lobe), the whole footprint is sampled again with a longer
+    step: first come, first served would leave one side of the footprint sharp and blur the other.
     """
     room = lobes.shape[0] - 1
     for _ in range(_STEP_RETRIES):
@@ -189,18 +189,18 @@ def gather_lobes(base, strata, step, column, row, lobes, diffuse_moment):
 
 @part
 def _gather(base, strata, step, column, row, lobes, diffuse_moment):
-    """``gather_lobes`` for one step; returns also how many samples it asks for.
+    """``gather_lobes`` for one step; returns also how many samples that step needs.
 
     SPECULAR columns hold filter weight times colour, MIXTURE the filter weight alone (they sum to 1).
     ``diffuse_moment`` (DIFFUSE_MOMENT,) receives sum_i w_i d_ic n_i as (channel, axis), then sum_i w_i d_ic.
 
-    Strata between the same four texels share one bilinear patch, and its edges say how far the normal turns. Where it
+    Strata between the same four texels share one bilinear patch, whose edges bound how far the normal turns. Where it
     turns by less than ``strata.merge`` lobe widths across all of them, and roughness and colour hardly change, one
-    sample stands for them. Where it turns by more than ``step`` lobe widths across one stratum, that is cut into as
-    many samples an axis as it takes, for point samples would turn a smooth streak of normals into separate needles;
-    never more in all than ``lobes`` has room for (one row is left for the defensive lobe). What a sample's part of the
-    patch still spreads is noted in SPREAD, and its mean in units of the lobe's width is returned. Strata wider than a
-    texel are sampled at random points: they are neither merged nor cut, and nothing is left out.
+    sample represents them all. Where it turns by more than ``step`` lobe widths across one stratum, the stratum is cut
+    into as many samples along each axis as needed, since point samples would turn a smooth streak of normals into
+    separate peaks; never into more than ``lobes`` has room for (one row is left for the defensive lobe). The remaining
+    spread of normals in a sample's part of the patch goes into SPREAD; its mean in units of the lobe's width is
+    returned. Strata wider than a texel are sampled at random points and are neither merged nor cut.
     """
     height, width = base.normal.shape[0], base.normal.shape[1]
     centre_x = (column + 0.5) * strata.scale_x - 0.5
@@ -237,7 +237,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                 tensors = corners(base.log_roughness, i0, i1, j0, j1)
             sums = reflecting(colours)
             coloured = most(sums) > _COLOURED * least(sums)
-            # Along an axis: sampled parts, how many strata one stands for, and into how many samples one is cut.
+            # Along each axis: parts that are sampled, strata in a part, and samples that a part is cut into.
             apart_x, apart_y, span_x, span_y, cuts_x, cuts_y = many_x, many_y, 1, 1, 1, 1
             inverse = 0.0
             spreads = False
@@ -337,7 +337,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
 def normalise_mixture(lobes, count):
     """MIXTURE <- share of each lobe in the reflected energy; returns (mean colour r, g, b, whether any specular).
 
-    Where nothing is reflected the lobes are taken as white, so that normal and roughness still mean something.
+    Where nothing is reflected the lobes are taken as white, so that a normal and a roughness can be fitted.
     """
     red, green, blue, total = 0.0, 0.0, 0.0, 0.0
     for i in range(count):
@@ -376,7 +376,7 @@ def add_defensive_lobe(lobes, count, share, m_x, m_y, a, b, c):
 def add_guard(lobes, count, theta):
     """Insert the lobe ``theta`` (6,) before the defensive one, without colour: it draws nodes and adds nothing.
 
-    The tensors of ``lobes`` must be full ones. It takes the share of the defensive lobe, of all the others alike.
+    The tensors of ``lobes`` must be full ones. It gets a quarter of the mixture; all other shares shrink alike.
     """
     for k in range(lobes.shape[1]):
         lobes[count + 1, k], lobes[count, k] = lobes[count, k], 0.0
@@ -392,7 +392,7 @@ def add_guard(lobes, count, theta):
 
 @kernel
 def normalise_shapes(lobes, count, has_shape, log_normalisation):
-    """NORMALISATION <- K(shape) times GAIN of every lobe; one K serves all where the base has no shape of its own."""
+    """NORMALISATION <- K(shape) times GAIN of every lobe, with one K for all where the base has no map of the shape."""
     k = math.exp(log_normalisation(lobes[0, SHAPE])[0])
     for i in range(count):
         if has_shape:

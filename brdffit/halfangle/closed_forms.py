@@ -1,4 +1,4 @@
-"""Closed-form lobes of a footprint: starts of the fit, and the lobe that guards the quadrature."""
+"""Closed-form lobes of a footprint: the starts of the fit, and the defensive lobe of the quadrature."""
 
 from __future__ import annotations
 
@@ -28,17 +28,19 @@ from brdffit.halfangle.quadrature import (
 
 real = np.float32
 
-# A footprint whose normals differ by less than this share of the lobe's width is flat: e is below 1e-6 (60 dB).
+# A footprint is flat if its normals differ by less than this share of the lobe's width, and alpha^2 and shape by less
+# than this share: the error of one lobe is then about 1e-6 (60 dB).
 _FLAT_SHARE = 1e-3
-# Rows of starts: LEAN's moments; the narrowest lobe where the target is highest; vMF; narrower shares of the moments
+# Rows of starts: LEAN's moments; the narrowest lobe where the target is highest; vMF; smaller shares of the moments
 # (L2 follows the peak, not the tail).
 LEAN, PEAK, VMF, NARROWER = range(4)
 _NARROWER_SHARES = (0.4, 0.12)
 STARTS = NARROWER + len(_NARROWER_SHARES)
+#: Largest slope of a fitted normal: 87 degrees from z.
 STEEPEST_SLOPE = 20.0
 
 # Moments of a footprint: slopes of the mean normal; mean tensor; covariance of slopes in the frame of the mean normal;
-# mean shape; what shrinks the mean tensor to the sharp lobes; vMF's spread.
+# mean shape; factor that shrinks the mean tensor to that of the sharp lobes; what vMF adds to alpha^2.
 M_X, M_Y, XX, YY, XY, UU, VV, UV, SHAPES, SHRINK, VMF_SPREAD = range(11)
 MOMENTS = 11
 
@@ -54,7 +56,7 @@ def tensor_of(lobes, i, isotropic):
         return alpha_squared, alpha_squared, 0.0, alpha_squared
     xx, yy, xy = lobes[i, TENSOR], lobes[i, TENSOR + 1], lobes[i, TENSOR + 2]
     half = 0.5 * (xx - yy)
-    # det / larger eigenvalue: the smaller one would cancel.
+    # The smaller eigenvalue as det over the larger one, since the direct difference would cancel.
     largest = 0.5 * (xx + yy) + math.sqrt(half * half + xy * xy)
     return xx, yy, xy, max(xx * yy - xy * xy, 1e-24) / largest
 
@@ -71,7 +73,7 @@ def log_of_tensor(xx, yy, xy):
 def footprint_moments(lobes, count, isotropic_base, moments):
     """Fill ``moments`` (MOMENTS,), weighted by reflected energy; returns whether the footprint is flat.
 
-    LEAN's moments are taken in the frame of the mean normal, where slopes do not explode even if the mean is steep.
+    LEAN's moments are taken in the frame of the mean normal, where slopes stay finite even if the mean is steep.
     """
     x, y, z = 0.0, 0.0, 0.0
     xx, yy, xy = 0.0, 0.0, 0.0
@@ -97,7 +99,7 @@ def footprint_moments(lobes, count, isotropic_base, moments):
         n_x, n_y, n_z = 0.0, 0.0, 1.0
     else:
         n_x, n_y, n_z = x / length, y / length, z / length
-    # A mean below the horizon cannot be written as a slope; keep a sliver above it.
+    # A mean normal below the horizon has no slope: lift it to just above the horizon.
     if n_z < 1.0 / STEEPEST_SLOPE:
         lift = 1.0 / math.sqrt(max(n_x * n_x + n_y * n_y, 1e-12))
         n_z = 1.0 / STEEPEST_SLOPE
@@ -132,7 +134,7 @@ def footprint_moments(lobes, count, isotropic_base, moments):
 
 @inline
 def take_from_tensor(moments, square, least):
-    """Take ``square`` from both eigenvalues of the mean tensor, which stay at ``least`` or above."""
+    """Subtract ``square`` from both eigenvalues of the mean tensor, but leave them at ``least`` or above."""
     mean, apart = 0.5 * (moments[XX] + moments[YY]), 0.5 * (moments[XX] - moments[YY])
     radius = math.sqrt(apart * apart + moments[XY] * moments[XY])
     large, small = max(mean + radius - square, least), max(mean - radius - square, least)
@@ -144,7 +146,7 @@ def take_from_tensor(moments, square, least):
 
 @inline
 def start_of(moments, tensors, slopes, spread, isotropic, start):
-    """A start (6,): the mean normal, and shares of the mean tensor and of the slopes' covariance, and a spread."""
+    """A start (6,): the mean normal, and Sigma = ``tensors`` E[Sigma] + ``slopes`` Cov + ``spread`` I."""
     a, b, c = log_of_tensor(
         tensors * moments[XX] + slopes * moments[UU] + spread, tensors * moments[YY] + slopes * moments[VV] + spread,
         tensors * moments[XY] + slopes * moments[UV],
@@ -158,13 +160,13 @@ def start_of(moments, tensors, slopes, spread, isotropic, start):
 
 @inline
 def first_start(moments, isotropic, starts):
-    """LEAN's row of ``starts``."""
+    """Fill LEAN's row of ``starts``."""
     start_of(moments, 1.0, 2.0, 0.0, isotropic, starts[LEAN])
 
 
 @inline
 def further_starts(moments, isotropic, starts):
-    """The other rows; PEAK's normal is set later, when the target is known."""
+    """Fill the other rows; PEAK's normal is set by ``start_at_peak`` once the target is tabulated."""
     start_of(moments, 1.0, 0.0, moments[VMF_SPREAD], isotropic, starts[VMF])
     for k in range(len(_NARROWER_SHARES)):
         start_of(moments, moments[SHRINK], 2.0 * _NARROWER_SHARES[k], 0.0, isotropic, starts[NARROWER + k])
@@ -174,7 +176,7 @@ def further_starts(moments, isotropic, starts):
 
 @kernel
 def start_at_peak(nodes, start):
-    """The normal of ``start`` <- the node where the target is highest, unless that lies at the horizon."""
+    """The normal of ``start`` <- the node where the target is highest, unless that node is too close to the horizon."""
     red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
     top, highest = 0, real(0.0)
     for j in range(nodes.shape[1]):
@@ -198,10 +200,10 @@ def closed_forms(lobes, count, isotropic_base, starts, isotropic):
 
 @inline
 def widening_at(widening, alpha_squared):
-    """The numbers of ``Model.widening`` for a lobe that is not sharp.
+    """``Model.widening``, which holds for sharp lobes, corrected for a lobe of this alpha^2.
 
-    On the sphere a wide lobe widens less: by this much, to within a tenth of what the table of
-    brdffit.halfangle.response says of GGX, the stretch up to alpha = 0.4 and the size up to 0.7.
+    On the sphere a wide lobe widens less. For GGX the correction agrees with the table of brdffit.halfangle.response to
+    within a tenth, for the stretch up to alpha = 0.4 and for the size up to 0.7.
     """
     size, stretch, gain = widening
     less = 1.0 / (1.0 + 2.0 * alpha_squared * (1.0 + alpha_squared))
@@ -210,16 +212,16 @@ def widening_at(widening, alpha_squared):
 
 @kernel
 def widen_lobes(lobes, count, isotropic, widening, light=0.0):
-    """Add to each lobe the SPREAD of its own part of the footprint; tensors become full ones, no longer isotropic.
+    """Widen each lobe by the SPREAD of its own part of the footprint; all tensors become full ones.
 
-    ``light``: what a light of some size adds to every alpha^2 before.
+    ``light``: alpha^2 that a light of some size adds to every lobe first.
 
-    LEAN's tensor, twice the covariance C added, keeps the moments; for long-tailed lobes it misses the average over
-    the part by three times as much as the nearest lobe does. Where C is small the wide lobe is that nearest one, of any
-    size and scale (``Model.widening``, derived in brdffit.halfangle.response): what is left of the difference then
-    moves the fit in second order only. Where C is large its scale would be too much: from afar, where many parts
-    overlap, it is their energy that counts. There it is the nearest of scale 1, which is Sigma + stretch C (for a sharp
-    GGX lobe on paper: log alpha^2 alone follows c (8 u^3 - 12 u^4) by 3 c).
+    LEAN adds twice the covariance C of the normals, which keeps the moments, but for long-tailed lobes its error
+    against the average over the part is three times that of the nearest lobe. Where C is small the widened lobe is that
+    nearest one, of any size and scale (``Model.widening``, derived in brdffit.halfangle.response); the remaining
+    difference then moves the fit in second order only. Where C is large that lobe would have too much energy, which
+    counts from afar, where many parts overlap. There the widened lobe is the nearest of scale 1, Sigma + stretch C (for
+    a sharp GGX lobe: fitting c (8 u^3 - 12 u^4) by a change of log alpha^2 alone gives 3 c).
     """
     for i in range(count):
         xx, yy, xy, least = tensor_of(lobes, i, isotropic)
@@ -239,7 +241,7 @@ def widen_lobes(lobes, count, isotropic, widening, light=0.0):
 
 @kernel
 def light_lobes(lobes, first, last, isotropic, light):
-    """Add what a light of some size adds to the alpha^2 of lobes first to last - 1."""
+    """Add ``light``, the alpha^2 by which a light of some size widens lobes, to lobes first to last - 1."""
     for i in range(first, last):
         lobes[i, TENSOR] += light
         if not isotropic:
@@ -248,7 +250,7 @@ def light_lobes(lobes, first, last, isotropic, light):
 
 @kernel
 def widen_round_lobes(lobes, count, widening, light=0.0):
-    """As ``widen_lobes``, for isotropic lobes and spreads so small that they may stay isotropic."""
+    """As ``widen_lobes``, for isotropic lobes with spreads so small that they may stay isotropic."""
     for i in range(count):
         lobes[i, ALPHA_SQUARED] += light
         size, _, gain = widening_at(widening, lobes[i, ALPHA_SQUARED])

@@ -1,4 +1,4 @@
-"""The half-angle density w(h): how often a half vector occurs when l and v are drawn at random.
+"""The half-angle density w(h): the probability density of the half vector of random directions l and v.
 
     w(h) = integral 4 (v.h) p(l) p(v) dv,   l = 2 (v.h) h - v,   v and l above the horizon   (dl = 4 (v.h) dh)
 

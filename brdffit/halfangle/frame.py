@@ -9,8 +9,8 @@ from brdffit._jit import inline
 
 @inline
 def tangent_frame(x, y, z):
-    """Tangent t and bitangent b of the unit normal (x, y, z), z > -1: images of the x and y axes under the shortest
-    rotation that takes the z axis to the normal. Returns (t_x, t_y, t_z, b_x, b_y, b_z)."""
+    """Tangent t and bitangent b of the unit normal (x, y, z), z > -1: the images of the x and y axes under the shortest
+    rotation from the z axis to the normal. Returns (t_x, t_y, t_z, b_x, b_y, b_z)."""
     k = 1.0 / (1.0 + z)
     xy = -x * y * k
     return 1.0 - x * x * k, xy, -x, xy, 1.0 - y * y * k, -y
@@ -20,14 +20,14 @@ def tangent_frame(x, y, z):
 def eigen_log(a, b, c):
     """Eigenvalues l1 >= l2 of [[a, c], [c, b]] and (cos, sin) of the angle of the first eigenvector.
 
-    An isotropic tensor has no direction; (1, 0) is as good as any and nothing that follows depends on it.
+    An isotropic tensor has no direction; (1, 0) is returned and no result depends on it.
     """
     mean = 0.5 * (a + b)
     half = 0.5 * (a - b)
     radius = math.sqrt(half * half + c * c)
     if radius < 1e-12:
         return mean, mean, 1.0, 0.0
-    # Half-angle formulas, cos^2 = (1 + half / radius) / 2, the larger of the two without cancellation at any angle.
+    # Half-angle formulas, cos^2 = (1 + half / radius) / 2; the larger of cos and sin is computed without cancellation.
     larger = radius + abs(half)
     scale = 1.0 / math.sqrt(2.0 * radius * larger)
     cos, sin = (larger * scale, c * scale) if half >= 0.0 else (c * scale, larger * scale)
@@ -36,7 +36,7 @@ def eigen_log(a, b, c):
 
 @inline
 def lobe_frame(n_x, n_y, n_z, a, b, c, frame):
-    """Fill ``frame`` (9,) with the rows u1, u2, n that take h to scaled coordinates.
+    """Fill ``frame`` (9,) with the rows u1, u2, n that transform h to scaled coordinates.
 
     u_i = exp(-l_i / 2) v_i are the tangent-plane axes along the eigenvectors of the tensor, scaled so that
     q = (u1.h)^2 + (u2.h)^2. Returns (l1, l2, cos, sin) of ``eigen_log`` and the two scales exp(-l_i / 2).

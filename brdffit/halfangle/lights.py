@@ -1,25 +1,24 @@
 """Lights with a size: the error integral over pairs of a viewer and a light of an angular radius.
 
-No light is a point. A disc of angular radius r around l moves the half vector within about R = r / 2, so what is seen
-of a lobe is its blur over that disc, and two lobes that differ by less than that look alike. The error integral over
-lights of sizes s with shares w_s compares the lobes as they are seen,
+No light is a point. A disc of angular radius r around l moves the half vector within about R = r / 2, so a picture
+shows a lobe blurred over that disc, and lobes that differ by less than the blur look alike. The error integral over
+lights of sizes s with shares w_s compares the blurred lobes,
 
     E = sum_s w_s int |T_s - F_s|^2 w(h) dh / int |T_s|^2 w(h) dh,
     T_s = sum_i w_i rho_i D(h; n_i, Sigma_i + a_s^2 I),     F_s = rho D(h; n, Sigma + a_s^2 I),
 
-with the blur of a lobe written as the lobe of the same model whose tensor is wider by a_s^2 = ``Model.blur`` R^2 (see
-docs/maths.md). The scale rho is one for all sizes and stays a closed form, since all inner products are sums over s:
+where a blurred lobe is replaced by the lobe of the same model whose tensor is wider by a_s^2 = ``Model.blur`` R^2 (see
+docs/maths.md). All sizes share one scale rho, which stays a closed form, since all inner products are sums over s:
 
     rho = sum_s w_s <T_s, D_s> / |T_s|^2  /  sum_s w_s <D_s, D_s> / |T_s|^2.
 
-A light that fills the sky sees a lobe's integral alone, which is rho: its term is (1 - rho / rho_0)^2, rho_0 the
-filtered colour. It needs no nodes; ``ENERGY`` of a setting is its share, and the same closed form holds.
+A light that fills the sky shows only a lobe's integral, which is rho: its term is (1 - rho / rho_0)^2, rho_0 the
+filtered colour. It needs no nodes; ``ENERGY`` of a setting is its share, and rho stays a closed form.
 
-Each size is a segment of one table of nodes. Everything about a lobe at size s is that of the lobe with the eigenvalues
-e^l + a_s^2, so the kernels of a lobe run once a segment, and the gradient is chained through L' = log(exp(L) + a^2 I):
-in the eigenbasis of L, with f(l) = log(e^l + a^2), the diagonal of dL' is f'(l_i) = e^l_i / (e^l_i + a^2) times that of
-dL, and what is off the diagonal is the divided difference (f(l_1) - f(l_2)) / (l_1 - l_2) times dL's (Daleckii and
-Krein 1965).
+Each size is a segment of one table of nodes. At size s the lobe is that with the eigenvalues e^l + a_s^2, so the
+kernels of a lobe run once for each segment, and the chain rule goes through L' = log(exp(L) + a^2 I). In the eigenbasis
+of L, with f(l) = log(e^l + a^2), the diagonal of dL' is f'(l_i) = e^l_i / (e^l_i + a^2) times that of dL, and the
+off-diagonal entry is the divided difference (f(l_1) - f(l_2)) / (l_1 - l_2) times that of dL (Daleckii and Krein 1965).
 """
 
 from __future__ import annotations
@@ -51,17 +50,17 @@ from brdffit.halfangle.quadrature import NODE_ROWS
 
 real = np.float32
 
-#: Columns of a table's ``lights``: a^2 for the model of the base and for that of the fit, and the share w_s.
+#: Columns of a table's ``lights``: a^2 for the model of the base, a^2 for the model of the fit, the share w_s.
 BASE_BLUR, LOBE_BLUR, SHARE = range(3)
-#: Sizes at most: room in the scratch of an evaluation.
+#: Most sizes of light: the scratch of an evaluation has room for them.
 MOST_SIZES = 6
-# What an evaluation keeps of each size: a lobe's frame, its sums, and (l1, l2, s1, s2, amplitude).
+# What an evaluation keeps for each size: the lobe's frame, its sums, and (l1, l2, s1, s2, amplitude).
 _FRAME, _SUMS, _OWN = 0, 9, 23
 _KEPT = 28
 #: Scratch of ``evaluate_table``; its first two entries hold TD and DD on return.
 EVALUATION = 2 + _KEPT * MOST_SIZES
 
-#: Angular radii in degrees by name, and what each stands for.
+#: Angular radii in degrees of named lights.
 NAMED_LIGHTS = {
     "point": (0.0,),
     "sun": (0.27,),
@@ -71,7 +70,7 @@ NAMED_LIGHTS = {
     "mixed": (2.0, 10.0, 40.0),
 }
 
-#: The sizes of a point light alone: the error integral of the papers.
+#: A single point light, with which the error integral is that of the papers.
 POINT = np.array([[0.0, 0.0, 1.0]])
 
 
@@ -90,7 +89,7 @@ class Table(NamedTuple):
 
 
 def table_of(points: list[NDArray], lights: NDArray, floats: type = np.float32) -> Table:
-    """A table for one point set (3, N_s) a size, N_s a multiple of 2."""
+    """A table for one point set (3, N_s) for each size, N_s even. ``floats`` is the type of nodes and values."""
     first = np.concatenate([[0], np.cumsum([each.shape[1] for each in points])]).astype(np.int64)
     size = int(first[-1])
     return Table(
@@ -108,7 +107,7 @@ def sizes_of(lights: str, base_blur: float, lobe_blur: float) -> NDArray:
         base_blur, lobe_blur: ``Model.blur`` of the base's model and of the fit's.
 
     Raises:
-        InputError: for what is neither a name nor such a number, and for more than ``MOST_SIZES`` sizes.
+        InputError: for a word that is neither a name nor such a number, and for more than ``MOST_SIZES`` sizes.
     """
     found: dict[float, float] = {}
     for text in lights.split(","):
@@ -169,11 +168,11 @@ def widened(theta, square, out):
 
 @inline
 def add_gradient(n_x, n_y, n_z, axes, slopes, amplitude, by_td, by_dd, sums, log_k_slope, gradient):
-    """Add to ``gradient`` what a lobe's ``sums`` say of by_td TD + by_dd DD: the chain rule, once.
+    """Add to ``gradient`` (6,) the gradient of by_td TD + by_dd DD by theta, from a lobe's ``sums``.
 
-    ``axes``: (l1, l2, cos, sin, s1, s2) of the lobe that was summed. ``slopes``: what its log tensor does as that of
-    theta moves, in the eigenbasis: along the first axis, along the second, off the diagonal (1, 1, 1 where they are
-    the same; see brdffit.halfangle.lights).
+    ``axes``: (l1, l2, cos, sin, s1, s2) of the lobe that was summed. ``slopes``: derivatives of its log tensor by that
+    of theta in the eigenbasis: first diagonal entry, second, off-diagonal (1, 1, 1 without a blur; see the head of this
+    file).
     """
     l1, l2, cos, sin, s1, s2 = axes
     slope1, slope2, slope12 = slopes
@@ -202,7 +201,7 @@ def add_gradient(n_x, n_y, n_z, axes, slopes, amplitude, by_td, by_dd, sums, log
 
 @inline
 def add_walls(theta, l1, l2, cos, sin, setting, value, gradient):
-    """``value`` and ``gradient`` with the walls added that keep log eigenvalues and shape within their bounds."""
+    """Add the walls that keep log eigenvalues and shape within their bounds to ``gradient``; returns value + walls."""
     if l1 > setting[LOG_HIGH] or l2 < setting[LOG_LOW]:
         for i in range(2):
             log_eigenvalue = l1 if i == 0 else l2
@@ -221,7 +220,7 @@ def add_walls(theta, l1, l2, cos, sin, setting, value, gradient):
 
 @kernel
 def evaluate_table(theta, table, setting, moments_kernel, log_normalisation, gradient, work):
-    """Relative squared error minus the table's whole share, and its gradient by theta: ``evaluate`` over all sizes.
+    """Relative squared error minus 1, and its gradient by theta: ``evaluate`` over all sizes of light.
 
     ``gradient`` (6,) is written; ``work`` (EVALUATION,) is scratch, of which work[0] and work[1] hold TD and DD on
     return.
@@ -254,7 +253,7 @@ def evaluate_table(theta, table, setting, moments_kernel, log_normalisation, gra
     if not dd > 0.0:
         value, by_td, by_dd = 0.0, 0.0, 0.0
     elif setting[HELD] == BOUNDED:
-        # The sky's term: (1 - x)^2 for the relative scale x, in units of the table's.
+        # The sky's term is ENERGY (1 - x)^2, with x the scale relative to the filtered colour.
         sky = setting[ENERGY] / setting[SCALE]
         x = min(max((td + sky) / (dd + sky), setting[SCALE_LOW]), setting[SCALE_HIGH])
         value = setting[SCALE] * (x * x * (dd + sky) - 2.0 * x * (td + sky)) + setting[ENERGY]

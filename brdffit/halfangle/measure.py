@@ -1,10 +1,11 @@
-"""How far a lobe is from the truth: the relative squared error of any pyramid's texels, by a dense rule of its own.
+"""Error of the lobes of any pyramid's texels against the truth, by a dense rule of its own.
 
 The figure of merit of a level is SNR = -10 log10 of the mean over texels of
 
     e = sum_c <(T_c - rho_c D)^2> / sum_c <T_c^2>,     < . > the integral over h with the half-angle density.
 
-The rule has many more nodes and strata than any fit uses, another shift of the point set, and the lobe's own horizon.
+The rule has more nodes than any preset uses and other nodes and jitter than the fit. Fine quality takes more samples of
+large footprints. Lobes end at their own horizon.
 """
 
 from __future__ import annotations
@@ -48,33 +49,33 @@ from brdffit.halfangle.quadrature import (
 from brdffit.methods import Level
 from brdffit.svbrdf import Svbrdf
 
-#: Nodes of the dense rule and samples of a footprint along one axis, at least and at most.
+#: Nodes of the dense rule; least and most samples of a footprint along one axis.
 DENSE_NODES = 4096
 DENSE_SAMPLES = (32, 128)
-#: Lobe widths that the normal may turn from one sample to the next, and room for cut strata, times the samples.
+#: Lobe widths that the normal may turn from one sample to the next; room for cut strata, as a multiple of the samples.
 DENSE_STEP, DENSE_ROOM = 0.7, 3
-#: Where ``target_table`` leaves the closed forms in its work array, behind nine sums and the diffuse moment.
+#: Where ``target_table`` leaves the closed forms in its work array.
 STARTS_AT = 9 + DIFFUSE_MOMENT
 
-#: SNR in dB above which levels are equally good: errors below 1e-5 of the light show in no picture, and sums in single
-#: precision hardly tell them apart.
+#: SNR in dB above which levels count as equally good: a relative squared error below 1e-5 is invisible, and near the
+#: resolution of single-precision sums.
 PERFECT_DB = 50.0
 
-# A mean spread inside the strata below this, in units of the lobe's width, is left out.
+# A mean spread of normals inside the strata below this, in units of the lobe's width, is ignored.
 _NARROW_SPREAD = 0.002
 
 _SHIFT = (0.25, 0.137, 0.719)
 
 
 class Measured(NamedTuple):
-    """Relative squared error and energy kept (rho over the filtered colour, mean of channels) of each texel."""
+    """Relative squared error of each texel, and its energy: sum of rho over that of the filtered colour's channels."""
 
     error: NDArray
     energy: NDArray
 
 
 def snr(error: NDArray) -> float:
-    """-10 log10 of the mean relative squared error, in dB; infinite where there is no error."""
+    """-10 log10 of the mean relative squared error, in dB; infinite if the error is 0."""
     mean = float(np.mean(error)) if np.size(error) else 0.0
     return math.inf if mean <= 0.0 else -10.0 * math.log10(mean)
 
@@ -82,7 +83,8 @@ def snr(error: NDArray) -> float:
 def dense_strata(
     base_size: tuple[int, int], level_size: tuple[int, int], pixel_filter: str, samples: tuple[int, int] = DENSE_SAMPLES
 ) -> Strata:
-    """Strata of the dense rule: four samples a texel and axis, at least and at most ``samples`` an axis."""
+    """Strata of the dense rule: at least four samples along each axis of a base texel, and between ``samples[0]`` and
+    ``samples[1]`` along an axis of the footprint."""
     chosen = get_pixel_filter(pixel_filter)
     width = 2.0 * chosen.radius * max(base_size[0] / level_size[0], base_size[1] / level_size[1])
     per_texel = max(4, 2 * math.ceil(0.5 * samples[0] / width))
@@ -92,11 +94,10 @@ def dense_strata(
 @kernel
 def target_table(base, strata, points, column, row, exponent, light, lobes, nodes, work, tabulate_kernel,
                  source_log_normalisation):  # fmt: skip
-    """Nodes, table and weights of one footprint; returns (mean colour r, g, b, <T,T>).
+    """Place the nodes of one footprint, fill its table and weights; returns (mean colour r, g, b, <T,T>).
 
-    ``light``: what a light of some size adds to the alpha^2 of every lobe (0: a point).
-
-    Where nothing is reflected T is 0, and <T,T> that of the same lobes in white: errors stay relative to something.
+    ``light``: alpha^2 that a light of some size adds to every lobe (0: a point). Where nothing is reflected T is 0, and
+    the returned <T,T> is that of the same lobes in white, so that relative errors are defined.
     """
     moment, starts = work[9:STARTS_AT], work[STARTS_AT : STARTS_AT + STARTS * PARAMETERS].reshape(STARTS, PARAMETERS)
     count, spread = gather_lobes(base, strata, DENSE_STEP, column, row, lobes, moment)
@@ -128,7 +129,7 @@ def target_table(base, strata, points, column, row, exponent, light, lobes, node
 @kernel
 def measure_rows(base, strata, points, columns, rows, exponent, theta, scale, error, energy,
                  tabulate_kernel, values_kernel, log_normalisation, source_log_normalisation):  # fmt: skip
-    """Error and energy of lobes theta (M, n, 6), scale (M, n, 3) at n texels; into error and energy (M, n)."""
+    """Write error and energy (M, n) of the lobes theta (M, n, 6) with scale (M, n, 3) at n texels."""
     count = strata.x.size * strata.y.size
     lobes = np.zeros((DENSE_ROOM * count + 1, LOBE_COLUMNS))
     nodes = np.zeros((NODE_ROWS, points.shape[1]), np.float32)
@@ -159,7 +160,7 @@ def measure_rows(base, strata, points, columns, rows, exponent, theta, scale, er
 
 @cache
 def _measuring_kernel() -> Any:
-    """``measure_rows`` compiled for function-typed arguments: once for all models, kept on disk."""
+    """``measure_rows``, compiled once for all models (their kernels are arguments of function type), cached on disk."""
     index, triple, figures = np.zeros(1, np.int64), np.zeros((1, 1, 1)), np.zeros((1, 1))
     data = (example_base(), example_strata(), lattice(1), index, index, 3, triple, triple, figures, figures)
     functions = (tabulate_type(types.float32), lobe_values_type(types.float32), *(log_normalisation_type,) * 2)
@@ -179,7 +180,8 @@ def lobe_parameters(svbrdf: Svbrdf, columns: NDArray, rows: NDArray, default_sha
 
 
 def random_texels(size: tuple[int, int], count: int, seed: int) -> tuple[NDArray, NDArray]:
-    """(columns, rows) of ``count`` random texels of a level, all of them where there are fewer; int64."""
+    """(columns, rows) of ``count`` random texels of a level of ``size`` (height, width), or of all if there are fewer;
+    int64."""
     height, width = size
     if height * width <= count:
         flat = np.arange(height * width)

@@ -1,11 +1,11 @@
-"""One lobe for many that a light of some size hardly tells apart.
+"""Merging of lobes that a light of some size hardly distinguishes.
 
-Under a light that blurs lobes by a^2, normals that differ by less than a share of sqrt(alpha^2 + a^2), of lobes about
-as rough, look like one lobe with their mean normal and SPREAD (twice the covariance of the normals), just as the
-normals within one part of a patch do. So the lobes of a footprint are put into cells of that size, in the plane of the
-equal-area projection of normals and in steps of the roughness, and each cell becomes one lobe. The energy of every
-cell is exact, its widening is that of ``widen_lobes``; a cell's normals lie within a lobe's width, where that is right
-to the fourth moment.
+Under a light that widens lobes by a^2, lobes of similar roughness whose normals differ by less than a share of
+sqrt(alpha^2 + a^2) look like one lobe with their mean normal and a SPREAD (twice the covariance of the normals), just
+as the normals within one part of a patch do. So the lobes of a footprint are sorted into cells of that size, in the
+plane of the equal-area projection of normals and in steps of the roughness, and each cell becomes one lobe. A cell
+keeps its energy exactly and is widened by ``widen_lobes``, whose error is of the order of the fourth moment, small
+because the normals of a cell lie within a lobe's width.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from brdffit.halfangle.quadrature import (
     WIDE_AXES,
 )
 
-#: Footprints of so few lobes are left as they are.
+#: Footprints of at most this many lobes are left as they are.
 _FEW = 8
 #: Factor of alpha^2 + a^2 from one step of the roughness to the next.
 _STEP = 1.5
@@ -46,13 +46,13 @@ class Cells(NamedTuple):
 
 
 def make_cells(room: int) -> Cells:
-    """For footprints of so many lobes."""
+    """Cells for footprints of at most ``room`` lobes."""
     return Cells(np.zeros((room, 3), np.int64), np.zeros(1 << max(4, math.ceil(math.log2(2 * room + 1))), np.int64))
 
 
 @inline
 def _cell_of(keys, slots, mask, count, q, x, y):
-    """Number of the cell with this key; ``count`` where it is new, and then it is entered."""
+    """Index of the cell with the key (q, x, y). A new cell is entered under the index ``count``."""
     h = np.uint64(q) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(x) * np.uint64(0xC2B2AE3D27D4EB4F)
     h = h ^ np.uint64(y) * np.uint64(0x165667B19E3779F9)
     at = np.int64((h ^ (h >> np.uint64(29))) & np.uint64(mask))
@@ -119,7 +119,7 @@ def _into_cells(lobes, count, square, cell, cells):
 
 @inline
 def _open_cell(into, lobe, w):
-    """Start a cell with its first lobe (which may stand there already): sums instead of means."""
+    """Start a cell with its first lobe (which may lie in the same row): weighted sums replace its values."""
     n_x, n_y, n_z = lobe[0], lobe[1], lobe[2]
     into[_FIRST], into[_FIRST + 1], into[_FIRST + 2] = n_x, n_y, n_z
     into[0], into[1], into[2] = n_x, n_y, n_z
@@ -154,8 +154,8 @@ def _add_to_cell(into, lobe, w):
 
 @inline
 def _close_cell(lobe):
-    """Sums to means; what normals spread within the cell is added to SPREAD."""
-    # A lobe that reflects nothing weighs nothing: it stays as wide as it was, by a weight of its own.
+    """Turn the sums of a cell into means, and add the covariance of its normals to SPREAD."""
+    # A cell that reflects nothing has no weight to divide by. It adds nothing, so any valid lobe will do.
     total = lobe[MIXTURE]
     if not total > 0.0:
         lobe[ALPHA_SQUARED], lobe[GAIN] = max(lobe[ALPHA_SQUARED], 1e-6), 1.0

@@ -19,11 +19,11 @@ V diag(l1, l2) V', with scaled coordinates u_i = exp(-l_i/2) v_i.x, q = u1^2 + u
   w12 = dt.b, so with g = V'(w13, w23):
   dq = -4 w12 sinh(delta) u1 u2 + 2 sum_i g_i exp(-l_i/2) u_i c,   dC = -2 sum_i g_i exp(l_i/2) u_i c.
 
-- horizon: a lobe is 0 where n.h <= 0. A sum over nodes would jump as one of them crosses that line, so the search sees
-  the lobe times f(c) = x^2 (3 - 2x), x = c / RIM within [0, 1], which adds g f'(c) / (2 c) = 3 g (1 - x) / RIM^2 to the
-  derivative by C. (Values of a lobe, and with them its residual, end sharply.)
+- horizon: a lobe is 0 where n.h <= 0. A sum over nodes would jump when a node crosses that line, so the search uses the
+  lobe times f(c) = x^2 (3 - 2x), x = c / RIM within [0, 1], which adds g f'(c) / (2 c) = 3 g (1 - x) / RIM^2 to the
+  derivative by C. (The values of ``lobe_values``, and so the residual, end sharply.)
 
-So one pass over the nodes gathers a few moments of (u1, u2, c), and the chain rule is done once, outside the loop.
+So one pass over the nodes sums a few moments of (u1, u2, c), and the chain rule is applied once, outside the loop.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from brdffit.models.elementary import align_stack, product
 from brdffit.models.ggx import profile, profile_gradient  # bound anew for other models
 
 real = np.float32
-# Whether the search turns the normal, and stretches the tensor: kernels bound to False leave those moments out.
+# Whether the search turns the normal, and whether it stretches the tensor; kernels bound to False omit those moments.
 TURNS = STRETCHES = True
 
 #: n.h over which the search lets a lobe fade out at its horizon.
@@ -47,18 +47,18 @@ RIM = 0.05
 
 PARAMETERS = 6
 MOMENTS = 14
-# The scalar target, times the weight, stands in the row that held the mixture density (no longer needed by then).
+# Row of the scalar target times the weight: that of the mixture density, which is not needed any more by then.
 TARGET = 6
 
 
 @kernel
 def moments(nodes, frame, shape, out):
     """Sums over the nodes, for the target (out[0:7], weight W S) and the lobe itself (out[7:14], weight 2 W g):
-    value, then q-derivative times (u1 u1, u1 u2, u2 u2), then what a turn of the normal reads, u_i c times the
-    q-derivative less exp(l_i) times the C-derivative, for i = 1, 2; s-derivative. out[7] is sum W g^2 (no factor 2).
+    the value; the q-derivative times (u1 u1, u1 u2, u2 u2); for the turn of the normal, i = 1, 2, u_i c times
+    (q-derivative - exp(l_i) C-derivative); the s-derivative. out[7] is sum W g^2, without the factor 2.
 
-    Without TURNS the sums with c are 0; without STRETCHES, for a round lobe, u1 u1 stands for u1 u1 + u2 u2, and so the
-    gradient by a for that by a and b together, which then is 0.
+    Without TURNS the sums with c are 0. Without STRETCHES (an isotropic lobe) the sum of u1 u1 holds that of
+    u1 u1 + u2 u2 and the other two are 0, so the gradient by a takes the share of b.
     """
     align_stack()
     h_x, h_y, h_z, weight, target = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT], nodes[TARGET]
@@ -76,7 +76,7 @@ def moments(nodes, frame, shape, out):
         c = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
         g, g_q, g_C, g_s = profile_gradient(u * u + v * v, c * c, shape)
         if HORIZON:
-            # The lobe ends at its own horizon: g(q, C) would go on as a mirror image behind it.
+            # Fade the lobe out at its own horizon; g(q, C) is even in c and would continue behind it.
             x = min(max(c * real(1.0 / RIM), real(0.0)), real(1.0))
             fade = x * x * (real(3.0) - x - x)
             fall = real(3.0 / (RIM * RIM)) * (real(1.0) - x) if c > real(0.0) else real(0.0)
@@ -150,21 +150,21 @@ def lobe_values_type(floats):  # type: ignore[no-untyped-def]
     return types.FunctionType(types.void(f64[::1], floats[:, ::1], log_normalisation_type, floats[::1], f64[::1]))
 
 
-# What an evaluation is told besides theta: what holds the scale (FREE, HOLDS or BOUNDED), 1 / TT (FREE) or
-# |rho|^2 / TT, bounds of log eigenvalues and of s; of BOUNDED, the least and greatest scale in units of the filtered
-# colour's, and the share of a sky that sees the energy alone.
+# Entries of a setting: treatment of the scale (FREE, HOLDS or BOUNDED); 1 / TT (FREE) or |rho|^2 / TT; bounds of the
+# log eigenvalues and of s; for BOUNDED, the least and greatest scale in units of the filtered colour, and the share of
+# a light from everywhere, which sees only the energy.
 HELD, SCALE, LOG_LOW, LOG_HIGH, SHAPE_LOW, SHAPE_HIGH, SCALE_LOW, SCALE_HIGH, ENERGY = range(9)
 SETTINGS = 9
 FREE, HOLDS, BOUNDED = 0.0, 1.0, 2.0
 
-# Weight of the walls at the edge of the domain, in units of relative squared error per squared log alpha^2: a step of
-# 0.1 outside costs 0.02, as much as losing 17 dB costs; what is left outside is clamped after the fit.
+# Weight of the walls at the edge of the domain, in relative squared error per squared log alpha^2: 0.1 outside costs
+# 0.02, the error of 17 dB. Parameters that are still outside after the search are clamped.
 WALL = 2.0
 
 
 @kernel
 def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient, work):
-    """Relative squared error minus 1 (so that nothing cancels twice) and its gradient by theta.
+    """Relative squared error minus 1 (adding the 1 would only lose digits) and its gradient by theta.
 
     ``gradient`` (6,) is written; ``work`` (48,) is scratch, of which work[0] and work[1] hold TD and DD on return.
     Walls keep log eigenvalues and shape within their bounds.
@@ -190,7 +190,7 @@ def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient,
     else:
         rho = td / dd
         value, by_td, by_dd = -setting[SCALE] * rho * td, -2.0 * setting[SCALE] * rho, setting[SCALE] * rho * rho
-    # The moments of by_td TD + by_dd DD, and from here on the chain rule, once.
+    # Moments of by_td TD + by_dd DD, then the chain rule.
     of_t, of_d = by_td * amplitude, by_dd * squared
     uu, uv, vv = of_t * sums[1] + of_d * sums[8], of_t * sums[2] + of_d * sums[9], of_t * sums[3] + of_d * sums[10]
     along1, along2 = 2.0 * s1 * (of_t * sums[4] + of_d * sums[11]), 2.0 * s2 * (of_t * sums[5] + of_d * sums[12])

@@ -1,4 +1,4 @@
-"""One bilinear patch of the base: four texels, what lies between them, and how far it changes from one to the next."""
+"""One bilinear patch of the base: four texels, the values between them, and their change from texel to texel."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from brdffit._jit import inline
 from brdffit.halfangle.frame import tangent_frame
 
-# Across a patch that is sampled once: factor of perceptual roughness (alpha^2 then spreads by 12% of its mean, 1e-4 of
-# relative squared error), of the colour, and difference of log tensors.
+# Limits for a patch that is sampled once: ratio of perceptual roughness (alpha^2 then spreads by 12% of its mean, a
+# relative squared error of 1e-4), ratio of colours, and difference of log tensors.
 _ROUGHER, _BRIGHTER, _STRETCHED = 1.1, 1.5, 0.4
 
 
@@ -26,7 +26,7 @@ def hash_of(a, b, c, d):
 
 @inline
 def wrapped(i, size, tile):
-    """Texel index beyond the border: wrapped or clamped."""
+    """Texel index, wrapped or clamped if it lies beyond the border."""
     if 0 <= i < size:
         return i
     if tile:
@@ -60,13 +60,13 @@ def weights_of(fx, fy):
 
 @inline
 def bilinear_of(four, w):
-    """A number between the four texels of a patch."""
+    """Bilinear value of one number; ``w`` holds the weights of the four texels."""
     return w[0] * four[0] + w[1] * four[1] + w[2] * four[2] + w[3] * four[3]
 
 
 @inline
 def bilinear(texels, w):
-    """Three channels between the four texels of a patch."""
+    """Bilinear value of three channels; ``w`` holds the weights of the four texels."""
     a, b, c, d = texels
     return (
         w[0] * a[0] + w[1] * b[0] + w[2] * c[0] + w[3] * d[0],
@@ -77,7 +77,7 @@ def bilinear(texels, w):
 
 @inline
 def _distance(a, b):
-    """Squared distance of two texels' normals."""
+    """Squared distance between two texels' normals."""
     return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
 
 
@@ -90,13 +90,13 @@ def edges(normals):
 
 @inline
 def _least_log(tensor):
-    """A bound from below of the smaller eigenvalue of a log tensor (a, b, c)."""
+    """A lower bound of the smaller eigenvalue of a log tensor (a, b, c)."""
     return min(tensor[0], tensor[1]) - abs(tensor[2])
 
 
 @inline
 def narrowest(tensors, roughness, isotropic):
-    """Smallest alpha^2 of the four texels."""
+    """Smallest alpha^2 of the four texels (a lower bound of it where they are anisotropic)."""
     if isotropic:
         return least(roughness) ** 4
     a, b, c, d = tensors
@@ -117,15 +117,17 @@ def most(of):
 
 @inline
 def reflecting(colours):
-    """What each of the four texels reflects: the sum of its channels."""
+    """Sum of the colour channels of each of the four texels."""
     a, b, c, d = colours
     return a[0] + a[1] + a[2], b[0] + b[1] + b[2], c[0] + c[1] + c[2], d[0] + d[1] + d[2]
 
 
 @inline
 def alike(sums, tensors, roughness, isotropic, light):
-    """Whether colour and roughness of the four texels differ so little that one sample may stand for all, where
-    ``light`` is added to alpha^2."""
+    """Whether colour and roughness of the four texels differ so little that one sample may represent all of them.
+
+    ``light``: alpha^2 that a light of some size adds.
+    """
     if most(sums) > _BRIGHTER * least(sums):
         return False
     if isotropic:
@@ -149,20 +151,20 @@ def in_one_patch(offsets, centre, first):
 
 @inline
 def inside(begin, width):
-    """Where a part of this width begins within a patch, [0, 1], if it would begin at ``begin``.
+    """``begin`` moved so that a part of this ``width`` lies within a patch, [0, 1].
 
-    A stratum as wide as a texel is centred on one: cut into samples, half of it would lie beyond the patch, where
-    values are made up (roughness passes through 0). Moving it is half a texel of a footprint of many.
+    A stratum as wide as a texel is centred on a texel: half of its samples would lie beyond the patch, where bilinear
+    values are extrapolated (roughness may pass through 0). The shift of half a texel is small in a footprint of many.
     """
     return min(max(begin, 0.0), max(1.0 - width, 0.0))
 
 
 @inline
 def weighed(weights, first, many):
-    """Weight of ``many`` strata from ``first`` on, and how far, in strata, their centroid lies from their middle.
+    """Weight of ``many`` strata from ``first`` on, and the offset of their centroid from their middle, in strata.
 
-    There one sample stands for them: the mean of what is linear between texels stays exact. (Where weights differ in
-    sign, it stands in the middle.)
+    One sample at the centroid represents them all: the mean of values that are linear between texels is then exact.
+    Where weights differ in sign the offset is 0.
     """
     total, moment = 0.0, 0.0
     alike = True
@@ -176,7 +178,7 @@ def weighed(weights, first, many):
 
 @inline
 def unit(n):
-    """(unit vector, length) of a normal; z where there is none."""
+    """(unit vector, length) of a normal; (0, 0, 1) and length 1 for a vector of length 0."""
     length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
     if length > 1e-6:
         inverse = 1.0 / length
@@ -186,25 +188,27 @@ def unit(n):
 
 @inline
 def slopes_of(four, fx, fy):
-    """Change of a number along x and y, from one texel of a patch to the next, at a point in it."""
+    """Gradient of a bilinear number along x and y, per texel, at the point (fx, fy) of a patch."""
     a, b, c, d = four
     return (1.0 - fy) * (b - a) + fy * (d - c), (1.0 - fx) * (c - a) + fx * (d - b)
 
 
 @inline
 def fading(spread):
-    """From 1, where a spread inside a part is small and its lobe the nearest of any scale, to 0, where it is the
-    nearest of scale 1: no part's energy is then wrong by more than 1%."""
+    """Blend from the nearest lobe of any scale (1, for a small spread inside a part) to the nearest lobe of scale 1 (0,
+    for a large one), which keeps the energy of every part right to 1%."""
     return 1.0 / (1.0 + 400.0 * spread * spread)
 
 
 @inline
 def narrowed(by_x, by_y, size_x, size_y):
-    """Factors of alpha^2 and of the scale where log perceptual roughness changes by so much across a part of a patch.
+    """Factors of alpha^2 and of the scale for a part of a patch across which the roughness changes.
 
-    A variance v of log alpha^2 lowers that of the nearest lobe by v / 2 and its scale by v / 5 (derived in
-    brdffit.halfangle.response; for a Gaussian peak v / 2 and v / 4); of the nearest lobe of scale 1, by v / 4. The mean
-    of log alpha^2 lies v / 8 below the middle's, for roughness is linear and log alpha^2 = 4 log r is concave.
+    ``by_x``, ``by_y``: gradient of log perceptual roughness per texel; ``size_x``, ``size_y``: sides of the part. A
+    variance v of log alpha^2 makes log alpha^2 of the nearest lobe less by v / 2 and its scale less by the share v / 5
+    (derived in brdffit.halfangle.response; for a Gaussian peak v / 2 and v / 4), and log alpha^2 of the nearest lobe of
+    scale 1 less by v / 4. Besides, the mean of log alpha^2 lies v / 8 below its value in the middle, because roughness
+    r is linear across the part and log alpha^2 = 4 log r is concave.
     """
     v = 16.0 / 12.0 * (size_x * size_x * by_x * by_x + size_y * size_y * by_y * by_y)
     near = fading(v)
@@ -213,18 +217,19 @@ def narrowed(by_x, by_y, size_x, size_y):
 
 @inline
 def weighted(rough_x, rough_y, colour_x, colour_y, size_x, size_y):
-    """Factor of alpha^2 where the logs of roughness and of the colour change together across a part of a patch."""
+    """Factor of alpha^2 for a part of a patch across which log roughness and log colour vary together."""
     covariance = 4.0 / 12.0 * (size_x * size_x * rough_x * colour_x + size_y * size_y * rough_y * colour_y)
     return min(max(1.0 + covariance, 0.5), 2.0)
 
 
 @inline
 def leaned(n, length, normals, fx, fy, weight_x, weight_y):
-    """A sample's unit normal, towards where its part of the patch reflects more sharply.
+    """A sample's unit normal, moved towards the sharper and brighter side of its part of the patch.
 
-    Where normals and log alpha^2 (or the log of a weight) vary together, the normal of the nearest lobe moves by their
-    covariance, away from the rougher ones (brdffit.halfangle.response; so for a Gaussian peak). ``weight_x``, ``_y``:
-    change of the log weight less that of log alpha^2 along each axis, times the squared size of the part.
+    Where normals vary together with log alpha^2 or with the log of the colour, the normal of the nearest lobe moves by
+    their covariance, away from rougher lobes (brdffit.halfangle.response; the same holds for a Gaussian peak).
+    ``weight_x``, ``weight_y``: gradient of log colour minus that of log alpha^2 along each axis, times the squared size
+    of the part.
     """
     a, b, c, d = normals
     scale = 1.0 / (12.0 * length)
@@ -246,11 +251,11 @@ def leaned(n, length, normals, fx, fy, weight_x, weight_y):
 
 @inline
 def spread_tensor(n, normals, fx, fy, size_x, size_y):
-    """What the spread of normals across a part of a patch (its edges in texels) adds to a lobe's tensor: (xx, yy, xy).
+    """Twice the covariance (xx, yy, xy) of the normals across a part of a patch, ``size_x`` by ``size_y`` texels.
 
-    Across a part of a smooth normal field the slopes are spread evenly over a parallelogram with edges g_x and g_y, so
-    their covariance is (g_x g_x' + g_y g_y') / 12 and, to second order, the tensor grows by twice that: the rule of
-    LEAN (Olano and Baker 2010), within one part of one patch. ``n`` is the unit normal in its middle.
+    Across a part of a smooth normal field the slopes are uniform over a parallelogram with edges g_x and g_y, so their
+    covariance is (g_x g_x' + g_y g_y') / 12. LEAN (Olano and Baker 2010) adds twice that to the tensor. ``n`` is the
+    unit normal in the middle.
     """
     a, b, c, d = normals
     t_x, t_y, t_z, b_x, b_y, b_z = tangent_frame(n[0], n[1], n[2])

@@ -1,22 +1,21 @@
 """Nodes and weights of the error integral, one set a footprint, and the table of the apparent lobe on them.
 
-All of <T,T>, <T,D> and <D,D> come from the same nodes h_j with the same weights W_j: the fit is a weighted linear
-least-squares problem in the lobe's value. Two things follow. Cauchy-Schwarz holds exactly, whatever the nodes, so the
-optimiser can find no hole where <T,D>^2 exceeds <T,T><D,D>. And where a lobe can represent the target, every rule finds
-it; elsewhere the error of the rule enters the result in second order, in proportion to the residual.
+<T,T>, <T,D> and <D,D> all come from the same nodes h_j with the same weights W_j, so the fit is a weighted linear
+least-squares problem in the lobe's values. Two things follow. Cauchy-Schwarz holds exactly for any nodes, so the
+optimiser can find no lobe for which <T,D>^2 exceeds <T,T><D,D>. And where a lobe can represent the target, every rule
+finds it; elsewhere the error of the rule enters the result in second order, in proportion to the residual.
 
-Where the nodes stand is what makes the rule right for sharp and separated lobes: they are drawn from the mixture of
-the base lobes themselves,
+For sharp and separate lobes the nodes must lie on their peaks, so they are drawn from the mixture of the base lobes,
 
     p(h) = sum_i c_i D_i(h) (n_i.h),     sum_i c_i = 1,   D_i a GGX lobe of base texel i's tensor,
 
-by a three-dimensional low-discrepancy point set (which lobe; radius and angle in its frame), and weighted with the
+by a three-dimensional low-discrepancy point set (choice of lobe; radius and angle in its frame), and weighted with the
 density of the *whole* mixture, W_j = w(h_j) / (N p(h_j)): the balance heuristic of multiple importance sampling (Veach
-and Guibas 1995). A node of a wide lobe that falls on a narrow peak counts there only as one of the many that the narrow
-lobe sends, so wide and sharp lobes in one footprint do not spoil each other. The GGX shape is kept for every model: its
-tails are the longest, so w / p stays bounded. And one more lobe takes part that is no base lobe: the closed-form start
-of the fit, with a share of the nodes. It covers what the fitted lobe covers and the target may leave empty, where a few
-nodes of enormous weight would otherwise decide (a defensive mixture, Hesterberg 1995).
+and Guibas 1995). A node of a wide lobe that falls on a narrow peak then has the same small weight as the narrow lobe's
+own nodes, so wide and sharp lobes can share a footprint. Nodes follow GGX lobes for every model, because GGX has the
+longest tails and w / p stays bounded. One further lobe joins the mixture with a share of the nodes: the closed-form
+start of the fit. It covers half vectors where the fitted lobe is not small but the target may be; there a few nodes of
+very large weight would otherwise decide (a defensive mixture, Hesterberg 1995).
 
 Sampling D (n.h) of a GGX lobe: slopes s = Sigma^(1/2) r (cos f, sin f) with r^2 = u / (1 - u), u and f uniform.
 """
@@ -36,29 +35,29 @@ from brdffit.models.ggx import profile  # bound anew for other source models
 from brdffit.models.ggx import profile as ggx_profile
 
 real = np.float32
-#: Whether lobes end at their own horizon; kernels for lobes that never come near it are bound to False.
+#: Whether lobes end at their own horizon; kernels of fits without that effect are bound to False.
 HORIZON = True
 
-# Columns of a lobe: normal; roughness tensor (xx, yy, xy), or alpha^2 alone where the base is isotropic; shape;
+# Columns of a lobe: normal; roughness tensor (xx, yy, xy), or only alpha^2 where the base is isotropic; shape;
 # footprint weight times specular RGB; mixture weight; K(shape) of the model's normalisation, times GAIN; twice the
 # covariance of normals inside the sample's own part of the footprint (xx, yy, xy); scale of the lobe nearest to the
-# average over that part. Then what ``frame_lobes`` makes of normal and tensor.
+# average over that part. The remaining columns are filled by ``frame_lobes``.
 NORMAL, TENSOR, ALPHA_SQUARED, SHAPE, SPECULAR, MIXTURE, NORMALISATION, SPREAD, GAIN = 0, 3, 3, 6, 7, 10, 11, 12, 15
 WIDE_AXES, NARROW_AXES, HEIGHT = 16, 22, 28
 LOBE_COLUMNS = 29
 
-# Rows of a node array; the last keeps the weights where a loss changes them.
+# Rows of a node array. MEASURE keeps W_j where a loss changes WEIGHT.
 H_X, H_Y, H_Z, RED, GREEN, BLUE, DENSITY, WEIGHT, MEASURE = range(9)
 NODE_ROWS = 9
 
-# Plastic number's reciprocals: the two-dimensional additive recurrence of lowest discrepancy known (Roberts 2018).
+# Powers of the plastic number's reciprocal: the R2 sequence, an additive recurrence of low discrepancy (Roberts 2018).
 _R2 = (0.7548776662466927, 0.5698402909980532)
 
 
 def lattice(nodes: int, shift: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> NDArray:
-    """(3, nodes) float32: lobe coordinate in [0, 1), ascending; then r cos f and r sin f in a lobe's frame.
+    """Point set (3, nodes) float32: lobe coordinate in [0, 1), ascending; r cos f and r sin f in a lobe's frame.
 
-    ``shift`` moves the point set (each entry in [0, 1)): an independent rule of the same size.
+    ``shift``, each entry in [0, 1), moves the point set, which gives an independent rule of the same size.
     """
     j = np.arange(nodes, dtype=np.float64)
     choice = (j + shift[0]) / nodes
@@ -71,7 +70,7 @@ def lattice(nodes: int, shift: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> 
 
 @inline
 def _set_axes(lobe, column, matrix, tangents):
-    """From ``column`` on: the rows of a symmetric matrix (xx, yy, xy) over the tangent plane, as vectors in space."""
+    """Write the rows of a symmetric tangent-plane matrix (xx, yy, xy), as vectors in space, from ``column`` on."""
     xx, yy, xy = matrix
     t_x, t_y, t_z, b_x, b_y, b_z = tangents
     lobe[column], lobe[column + 1], lobe[column + 2] = xx * t_x + xy * b_x, xx * t_y + xy * b_y, xx * t_z + xy * b_z
@@ -80,11 +79,11 @@ def _set_axes(lobe, column, matrix, tangents):
 
 @kernel
 def frame_lobes(lobes, count, isotropic):
-    """Fill the columns of ``lobes[:count + 1]`` that ``place_nodes`` and ``tabulate`` read, once for both.
+    """Fill the columns of ``lobes[:count + 1]`` that ``place_nodes`` and ``tabulate`` read.
 
-    WIDE_AXES and NARROW_AXES: the rows of Sigma^(1/2) and Sigma^(-1/2) as vectors in space, three numbers each (of an
-    isotropic lobe the first alone); HEIGHT: a GGX lobe's, 1 / (pi sqrt(det Sigma)). The last lobe, ``lobes[count]``, is
-    the defensive one; its tensor is always the full one.
+    WIDE_AXES and NARROW_AXES: the rows of Sigma^(1/2) and Sigma^(-1/2) as vectors in space, three numbers each
+    (NARROW_AXES is not needed for isotropic lobes); HEIGHT: peak of a GGX lobe, 1 / (pi sqrt(det Sigma)). The last
+    lobe, ``lobes[count]``, is the defensive one; its tensor is always a full one.
     """
     for i in range(count + 1):
         lobe = lobes[i]
@@ -102,7 +101,7 @@ def frame_lobes(lobes, count, isotropic):
 
 @inline
 def _axes(lobe, column):
-    """The two vectors in space that start at ``column``, in the kernel's float type."""
+    """The two vectors in space that are stored from ``column`` on, in the kernel's float type."""
     return (
         real(lobe[column]), real(lobe[column + 1]), real(lobe[column + 2]),
         real(lobe[column + 3]), real(lobe[column + 4]), real(lobe[column + 5]),
@@ -111,14 +110,14 @@ def _axes(lobe, column):
 
 @kernel
 def place_nodes(lobes, count, points, exponent, nodes):
-    """Draw the nodes from the mixture of ``lobes[:count + 1]``, framed; their mixture weights must sum to 1.
+    """Draw the nodes from the mixture of ``lobes[:count + 1]``, after ``frame_lobes``; MIXTURE must sum to 1.
 
     Writes rows H_X, H_Y, H_Z of ``nodes`` (NODE_ROWS, N) and w(h) / N into WEIGHT (0 below the horizon); clears the
     table rows.
     """
     size = points.shape[1]
     along, across = points[1], points[2]
-    # Where the rule's lobe coordinate (j + shift) / N reaches a share of the mixture.
+    # A lobe gets the nodes whose lobe coordinate (j + shift) / N lies within its share of the mixture.
     shift = points[0, 0] * size
     h_x, h_y, h_z, weight = nodes[H_X], nodes[H_Y], nodes[H_Z], nodes[WEIGHT]
     reached = 0.0
@@ -130,8 +129,8 @@ def place_nodes(lobes, count, points, exponent, nodes):
             continue
         u_x, u_y, u_z, v_x, v_y, v_z = _axes(lobes[i], WIDE_AXES)
         n_x, n_y, n_z = real(lobes[i, 0]), real(lobes[i, 1]), real(lobes[i, 2])
-        # In whole vectors: what is written beyond the last node the next lobe writes anew. With an index that has no
-        # sign, and so none that counts from the end, the loop vectorises.
+        # In whole vectors of 16: the next lobe overwrites what is written beyond the last node. The index is unsigned,
+        # since indices that may count from the end would keep the loop from being vectorised.
         for j in range(np.uint64(first), np.uint64(min(first + (last - first + 15) // 16 * 16, size))):
             h_x[j] = along[j] * u_x + across[j] * v_x + n_x
             h_y[j] = along[j] * u_y + across[j] * v_y + n_y
@@ -152,9 +151,9 @@ def place_nodes(lobes, count, points, exponent, nodes):
 
 @kernel
 def tabulate(lobes, count, isotropic, grey, nodes):
-    """Add every base lobe, framed, to the table, T_c(h_j) and p(h_j), and the defensive lobe to p.
+    """Add every base lobe to the table, T_c(h_j) and p(h_j), and the defensive lobe to p, after ``frame_lobes``.
 
-    ``grey`` says that every lobe has equal channels: one is summed and copied. Base lobes stop at their own horizon
+    ``grey``: every lobe has equal channels, so only one is summed. With HORIZON base lobes end at their own horizon
     (n.h > 0).
     """
     size = nodes.shape[1]
@@ -232,7 +231,7 @@ def tabulate_type(floats):  # type: ignore[no-untyped-def]
 
 @kernel
 def weigh_nodes(nodes):
-    """WEIGHT, MEASURE <- w / (N p) once the table is full. A node that no lobe reaches (p = 0) carries no weight."""
+    """WEIGHT, MEASURE <- w / (N p) once the table is filled; 0 for a node that no lobe reaches (p = 0)."""
     density, weight, measure = nodes[DENSITY], nodes[WEIGHT], nodes[MEASURE]
     for j in range(nodes.shape[1]):
         w = weight[j] * reciprocal(max(density[j], real(1e-30)))

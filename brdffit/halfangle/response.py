@@ -1,20 +1,21 @@
-"""How the best lobe answers when the lobes of a footprint spread: a closed form of third order.
+"""How the best lobe changes with the spread of a footprint's lobes: a closed form of third order.
 
-A footprint's lobes differ from one in their middle by small x = (t1, t2, l): the turn of the normal in units of alpha
-(gnomonic, t1 along its tilt) and log alpha^2. Their average is, with D the middle lobe and its derivatives by x,
+A footprint's lobes differ from a lobe in their middle by small x = (t1, t2, l): the turn of the normal in units of
+alpha (gnomonic, t1 along the tilt) and the change of log alpha^2. With D the middle lobe, their average is
 
     T = D + E[x_i] D_i + 1/2 E[x_i x_j] D_ij + 1/6 E[x_i x_j x_k] D_ijk + ...,
 
-and the best lobe near D, with its scale, is the L2 projection of T upon the plane that D (for the scale) and its
-derivatives by the free parameters (turns, log alpha^2, and the two of an anisotropic tensor) span. So every
-moment of x moves every parameter by a number of its own, and adds what lies off that plane to the error. These numbers
-depend on alpha and on the tilt alone: a table a model holds them, from finite differences on nodes drawn from the lobe.
+D_i its derivatives by x_i. The best lobe near D, with its scale, is the L2 projection of T onto the space spanned by D
+(for the scale) and its derivatives by the free parameters (turns, log alpha^2, and the two of an anisotropic tensor).
+So every moment of x moves every parameter in proportion, and its part outside that space is the error. The factors
+depend only on alpha and the tilt: one table for each model holds them, from finite differences on nodes drawn from the
+lobe.
 
-For a sharp GGX lobe they can be had on paper. With u = 1 / (1 + t^2), D = u^2 / pi, and the integral over the plane of
-u^m being pi / (m - 1): normals of covariance c I add c (8 u^3 - 12 u^4) / pi; the scale's direction is u^2 and that of
-log alpha^2 is u^2 - 2 u^3, so log alpha^2 grows by 4 c (LEAN: 2 c) and the scale by 0.8 c, and 0.27 c^2 is the error
-(LEAN's: 0.91 c^2); stretched normals stretch log Sigma by three times their own (LEAN: two); a variance v of
-log alpha^2 lowers it by v / 2 and the scale by 0.2 v. A test holds the table against these.
+For a sharp GGX lobe they follow on paper. With u = 1 / (1 + t^2), D = u^2 / pi, and the integral of u^m over the plane
+being pi / (m - 1): normals of covariance c I add c (8 u^3 - 12 u^4) / pi; the scale's direction is u^2 and that of
+log alpha^2 is u^2 - 2 u^3, so log alpha^2 grows by 4 c (LEAN: 2 c), the scale by 0.8 c, and the error is 0.27 c^2
+(LEAN: 0.91 c^2). An anisotropic covariance stretches log Sigma by three times its deviator (LEAN: two). A variance v of
+log alpha^2 lowers log alpha^2 by v / 2 and the scale by 0.2 v. A test compares the table with these numbers.
 """
 
 from __future__ import annotations
@@ -31,35 +32,36 @@ from brdffit._jit import kernel, numba_type, types
 from brdffit.halfangle.objective import lobe_values_type, log_normalisation_type
 from brdffit.halfangle.quadrature import H_X, H_Y, H_Z, NODE_ROWS
 
-#: Orders of (t1, t2, l) of each moment, the second ones first.
+#: Orders of (t1, t2, l) in each moment, second moments first.
 MOMENT_ORDERS = (
     (2, 0, 0), (1, 1, 0), (0, 2, 0), (1, 0, 1), (0, 1, 1), (0, 0, 2),
     (3, 0, 0), (2, 1, 0), (1, 2, 0), (0, 3, 0), (2, 0, 1), (1, 1, 1), (0, 2, 1), (1, 0, 2), (0, 1, 2), (0, 0, 3),
 )  # fmt: skip
 SECOND = 6
 THIRD = len(MOMENT_ORDERS)
-#: What is answered: scale (relative), t1, t2, log alpha^2, stretch along and across the tilt.
+#: Answers to each moment: change of the scale (relative), t1, t2, log alpha^2, and the stretch's two components.
 ANSWERS = 6
-# A row of the table: answers to each moment; what a channel's own scale gains by (t1, t2, l), and the squared error
-# that is left; Gram matrix of the second moments' parts off the plane.
+# A row of the table: answers to each moment; change of a channel's own scale with its mean (t1, t2, l), and the squared
+# error that remains; Gram matrix of the second moments' parts outside the spanned space.
 BY_FIRST = THIRD * ANSWERS
 OFF_SCALE = BY_FIRST + 3
 OFF_PLANE = OFF_SCALE + 3
 ROW = OFF_PLANE + SECOND * SECOND
 
-#: Where the table stands: alpha in even steps of its log, the cosine of the tilt in even steps.
+#: Grid of the table: alpha in even steps of its logarithm, the cosine of the tilt in even steps.
 ALPHAS = np.geomspace(0.025, 0.8, 11)
 COSINES = np.linspace(0.4, 1.0, 7)
-# A lobe so wide for its tilt reaches the horizon, where nothing is smooth.
+# Largest alpha over the cosine of the tilt: wider lobes reach the horizon, where the expansion fails.
 _WIDEST = 0.7
 _NODES, _STEP = 1536, 0.12
-# Central differences of order 0 to 3: offset and weight.
+# Central differences of order 0 to 3: offsets and weights.
 _STENCILS = (((0, 1.0),), ((1, 0.5), (-1, -0.5)), ((1, 1.0), (0, -2.0), (-1, 1.0)),
              ((2, 0.5), (1, -1.0), (-1, 1.0), (-2, -0.5)))  # fmt: skip
 
 
 class Response(NamedTuple):
-    """``table`` (A, Z, ROW) float64 over log alpha and the cosine of the tilt: first entries and steps of both."""
+    """``table`` (A, Z, ROW) float64 over log alpha and the cosine of the tilt; first value and step of both. Entries
+    are infinite where the expansion does not hold."""
 
     table: NDArray
     log_alpha: float
@@ -68,7 +70,7 @@ class Response(NamedTuple):
     cosine_step: float
 
 
-#: In place of a table where none is asked for.
+#: Stands in for a table where none is needed.
 NO_RESPONSE = Response(np.full((2, 2, ROW), np.inf), 0.0, 1.0, 0.0, 1.0)
 
 
@@ -76,7 +78,7 @@ NO_RESPONSE = Response(np.full((2, 2, ROW), np.inf), 0.0, 1.0, 0.0, 1.0)
 def response_of(
     values_kernel: Any, log_normalisation: Any, exponent: int, *, turns: bool, stretches: bool, held: bool
 ) -> Response:
-    """The table of one lobe model without a shape.
+    """The table of one lobe model that has no shape parameter.
 
     Args:
         values_kernel, log_normalisation: of the model.
@@ -115,7 +117,8 @@ def _row(
 def _differences() -> tuple[NDArray, NDArray]:
     """Steps (M, 5) in (t1, t2, l, stretch along, across), and weights (THIRD + 5, M) of the central differences.
 
-    The moments' derivatives come over the factorials of Taylor's series; then the five first derivatives.
+    The first THIRD rows are the moments' derivatives over the factorials of Taylor's series, the last five the first
+    derivatives.
     """
     weights: dict[tuple[int, ...], dict[int, float]] = {(0,) * 5: {}}
     for row, orders in enumerate(MOMENT_ORDERS):
@@ -137,7 +140,7 @@ _MIDDLE = 0
 
 
 def _parameters(alpha: float, cosine: float) -> NDArray:
-    """theta (M, 6) of the lobes that lie ``_STEPS`` off the middle one."""
+    """theta (M, 6) of the lobes at ``_STEPS`` from the middle one."""
     normal, along, across = _frame(cosine)
     t1, t2, size, stretch, shear = _STEP * _STEPS.T
     turned = normal + alpha * (t1[:, None] * along + t2[:, None] * across)
@@ -148,7 +151,7 @@ def _parameters(alpha: float, cosine: float) -> NDArray:
 
 @kernel
 def _fill(values_kernel, log_normalisation, nodes, theta, lobes):
-    """Values (M, N) of M lobes on the nodes."""
+    """Write the values (M, N) of M lobes on the nodes."""
     values, work = np.zeros(nodes.shape[1], np.float32), np.zeros(16)
     for m in range(theta.shape[0]):
         values_kernel(theta[m], nodes, log_normalisation, values, work)
@@ -158,7 +161,7 @@ def _fill(values_kernel, log_normalisation, nodes, theta, lobes):
 
 @cache
 def _filling_kernel() -> Any:
-    """``_fill`` compiled for function-typed arguments: once for all models, kept on disk."""
+    """``_fill``, compiled once for all models (their kernels are arguments of function type), cached on disk."""
     data = (numba_type(np.zeros((1, 1), np.float32)), *(numba_type(np.zeros((1, 1))),) * 2)
     _fill.compile((lobe_values_type(types.float32), log_normalisation_type, *data))
     _fill.disable_compile()
@@ -166,11 +169,11 @@ def _filling_kernel() -> Any:
 
 
 def _nodes(alpha: float, cosine: float, exponent: int) -> tuple[NDArray, NDArray]:
-    """Nodes (NODE_ROWS, N) float32 drawn from the GGX lobe of 1.2 alpha (tails are the longest), and weights (N,)."""
+    """Nodes (NODE_ROWS, N) float32 drawn from the GGX lobe of 1.2 alpha, whose tails are the longest; weights (N,)."""
     wide = 1.2 * alpha
     half = np.arange(_NODES // 2)
     u, angle = (half + 0.5) / len(half), 2.0 * np.pi * ((half * 0.6180339887498949) % 1.0)
-    # Mirrored across the tilt, so that what is odd there is odd exactly.
+    # Mirrored across the tilt, so that integrals of functions that are odd across it vanish exactly.
     u, angle = np.tile(u, 2), np.concatenate([angle, -angle])
     radius = wide * np.sqrt(u / np.maximum(1.0 - u, 1e-4))
     normal, along, across = _frame(cosine)

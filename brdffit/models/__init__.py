@@ -2,12 +2,11 @@
 
 Every lobe here has the form ``D(h; n, Sigma) = K(s) / (pi sqrt(det Sigma)) * profile(q, C; s)`` with
 
-- ``q = x' Sigma^-1 x``, x the tangent-plane part of h in the frame of n (the rotation that takes z to n by the
-  shortest way),
+- ``q = x' Sigma^-1 x``, x the tangent-plane part of h in the frame of n (that of the shortest rotation from z to n),
 - ``C = (n.h)^2``,
-- ``s`` a shape parameter, where the model has one, and K(s) what it adds to the normalisation,
+- ``s`` a shape parameter, where the model has one, and K(s) its factor in the normalisation.
 
-so a model is a profile with its derivatives, and every loop is written once, elsewhere.
+So a model is a profile with its derivatives; the loops are written once, elsewhere.
 """
 
 from __future__ import annotations
@@ -32,13 +31,13 @@ class Model:
         log_normalisation: kernel s -> (log K, d log K / d s).
         shape_bounds: (low, default, high) of the shape parameter s, or None where there is none.
         source: the paper.
-        isotropic: whether the model knows only one roughness; its fits hold the tensor isotropic.
-        widening: what normals of covariance C do to the nearest sharp lobe of this model: log alpha^2 grows by the
-            first number times the mean of C (in units of alpha^2), log Sigma by the second times C's deviation from it,
-            the scale by the third power of the determinant's growth. (2, 2, 0) is that of a Gaussian peak.
-        blur: what a light whose disc covers half vectors up to R away adds to alpha^2, over R^2, so that the wider lobe
-            is the nearest in L2 (docs/maths.md). A Gaussian peak's is 1/2 for a small light (twice the disc's variance
-            along an axis), 0.55 at R = alpha and 0.63 at 2 alpha.
+        isotropic: whether the model has only one roughness; fits then hold the tensor isotropic.
+        widening: the sharp lobe nearest to the average over normals of covariance C (in units of alpha^2): log alpha^2
+            grows by the first number times half the trace of C, log Sigma by the second times the deviator of C, and
+            the scale by the growth of det Sigma to the power of the third. A Gaussian peak has (2, 2, 0).
+        blur: b, where a light whose disc moves half vectors by up to R adds b R^2 to alpha^2, so that the wider lobe is
+            the nearest in L2 (docs/maths.md). For a Gaussian peak b is 1/2 for a small light (twice the disc's variance
+            along an axis over R^2), 0.55 at R = alpha and 0.63 at 2 alpha.
     """
 
     name: str
@@ -54,7 +53,7 @@ class Model:
 
     @property
     def default_shape(self) -> float:
-        """Shape parameter of a lobe that says nothing of it."""
+        """Shape parameter of a lobe for which none is given."""
         return self.shape_bounds[1] if self.shape_bounds else 0.0
 
 

@@ -7,8 +7,8 @@ the exponent is 2 q / (1 - C) - 2, and with (n.h) = sqrt C
 
     D = 1 / (pi sqrt(det Sigma)) exp((q - (1 - C)) L(C)),      L(C) = log(C) / (1 - C).
 
-As C -> 1 the quotient L is 0/0 and tends to -1 (it is there, not at n.h -> 0, that the paper's form degenerates): what
-is 0 is left out of the logarithm there. At p_u = p_v this is Blinn-Phong exactly.
+As C -> 1 the quotient L is 0/0 and tends to -1 (there, and not at n.h -> 0, the paper's form degenerates). Near C = 1
+the kernel writes log C = u Q(u) with u = C - 1, so that L = -Q. At p_u = p_v this is Blinn-Phong exactly.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _NEAR = 0.75
 
 @inline
 def log_quotient(C):
-    """L = log(C) / (1 - C) and dL/dC = (1 + C L) / (C (1 - C)); for C above 3/4 L = -Q and dL/dC a minimax polynomial.
+    """L = log(C) / (1 - C) and dL/dC = (1 + C L) / (C (1 - C)); above 3/4 L = -Q and dL/dC is a minimax polynomial.
 
-    Both are good to a few 1e-7 of their value, that polynomial to 7e-6.
+    The relative error is a few 1e-7, and 7e-6 for that polynomial.
     """
     k, u, quotient = log_parts(C)
     v = real(1.0) - C
@@ -68,7 +68,7 @@ def profile_gradient(q, C, s):
 
 @inline
 def log_normalisation(s):
-    """Nothing to add: the half-angle form integrates to 1 with the cosine."""
+    """K = 1: the integral of D (n.h) over the hemisphere is 1."""
     return 0.0, 0.0
 
 

@@ -14,7 +14,7 @@ from brdffit.models.elementary import exp_negative, reciprocal
 
 real = np.float32
 
-# Below n.h = 1e-3 the exponential has long vanished for every alpha <= 1; the guard keeps 1 / C^2 finite.
+# Below n.h = 1e-3 the exponential has vanished for every alpha <= 1; the guard keeps 1 / C^2 finite.
 _LEAST_C = 1e-6
 
 
@@ -36,7 +36,7 @@ def profile_gradient(q, C, s):
 
 @inline
 def log_normalisation(s):
-    """Nothing to add: exp(-|t|^2) integrates to pi over the plane of scaled slopes t."""
+    """K = 1: exp(-|t|^2) integrates to pi over the plane of scaled slopes t."""
     return 0.0, 0.0
 
 

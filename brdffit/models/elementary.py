@@ -1,8 +1,8 @@
-"""exp and log as polynomials, so that loops over nodes vectorise (libm's are called one by one).
+"""exp and log as polynomials, so that loops over nodes vectorise (libm's functions take one number at a time).
 
-``real`` is the float type of the arithmetic: kernels are written for it and specialised for float64, where exp and log
-keep the accuracy of their polynomials (1e-7 and 2e-7): enough for an objective, not for a library of special functions.
-The polynomials are minimax (of the relative error) on the interval that is left after the exponent field is set apart.
+``real`` is the float type of the arithmetic: kernels are written for float32 and specialised for float64, where exp and
+log still have the accuracy of their polynomials (1e-7 and 2e-7), which is enough for an objective. The polynomials are
+minimax in the relative error on the interval that remains once the exponent field is split off.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _FAST = ("arcp", "contract", "nsz", "reassoc")
 
 @intrinsic
 def reciprocal(typingctx, x):  # type: ignore[no-untyped-def]
-    """1 / x for finite x. That x is finite is what LLVM must be told before it takes, in a loop over float32, the
-    processor's estimate and one step of Newton (to the last bit or two) instead of a division, which waits."""
+    """1 / x for finite x. Told that x is finite, LLVM uses in loops over float32 the processor's estimate and one
+    Newton step (right to the last bit or two) instead of a division, which is slower."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         one = ir.Constant(args[0].type, 1.0)
@@ -37,7 +37,7 @@ def reciprocal(typingctx, x):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def inverse_root(typingctx, x):  # type: ignore[no-untyped-def]
-    """1 / sqrt(x) for finite x > 0, as ``reciprocal``: the estimate and one step of Newton in a loop over float32."""
+    """1 / sqrt(x) for finite x > 0, as ``reciprocal``: an estimate and one Newton step in loops over float32."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         root = builder.module.declare_intrinsic("llvm.sqrt", [args[0].type])
@@ -50,7 +50,7 @@ def inverse_root(typingctx, x):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def product(typingctx, x, y):  # type: ignore[no-untyped-def]
-    """x * y for numbers, so that what is multiplied with a constant 0 is no work at all."""
+    """x * y for numbers that are not NaN, so that the compiler removes products with a constant 0."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         return builder.fmul(*args, flags=("nnan", *_FAST))
@@ -73,8 +73,8 @@ def alternate(typingctx, x, j):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def align_stack(typingctx):  # type: ignore[no-untyped-def]
-    """Let the stack of the calling function begin at a cache line: a loop that has more numbers than registers reads
-    whole vectors from there, and each would lie across two lines."""
+    """Align the stack of the calling function to a cache line: a loop with more values than registers keeps vectors on
+    the stack, and each would otherwise lie across two lines."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         attributes = builder.function.attributes
@@ -91,7 +91,7 @@ def _layout(kind: ir.Type) -> tuple[int, ir.IntType]:
 
 
 def _by_the_grid(operation: str):  # type: ignore[no-untyped-def]
-    """Code that adds or subtracts 1.5 * 2^23 (or 2^52), beyond which floats are integers. It is not reassociated."""
+    """Code that adds or subtracts 1.5 * 2^23 (or 2^52), where floats are integers; it must not be reassociated."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         kind = args[0].type
@@ -103,7 +103,7 @@ def _by_the_grid(operation: str):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def on_integer_grid(typingctx, x):  # type: ignore[no-untyped-def]
-    """A number whose last bits are the integer next to x."""
+    """A number whose last bits are the integer nearest to x."""
     return x(x), _by_the_grid("fadd")
 
 
@@ -161,14 +161,14 @@ def binary_mantissa(typingctx, x):  # type: ignore[no-untyped-def]
 
 @inline
 def exp_negative(x):
-    """exp(x) for x <= 0 (and right up to 80); 0 below -32. x = k ln 2 + r, |r| <= ln 2 / 2; 1 + r + r^2 ..., to 1e-7.
+    """exp(x) for x <= 0 (and correct up to 80); 0 below -32. x = k ln 2 + r, |r| <= ln 2 / 2; 1 + r + r^2 ..., to 1e-7.
 
-    Of a lobe, what is 14 orders of magnitude below its peak adds nothing to a sum in single precision; but its squares
-    and products would be subnormal numbers, which processors take many times as long over.
+    A lobe that is 14 orders of magnitude below its peak adds nothing to a sum in single precision, but its squares and
+    products would be subnormal numbers, with which processors are many times slower.
     """
     k = on_integer_grid(x * real(_LOG2E))
     r = x - off_integer_grid(k) * real(_LN2)
-    # In pairs (Estrin): a chain of five would wait for itself.
+    # In pairs (Estrin's scheme): a chain of five dependent operations would be slower.
     r2 = r * r
     p = real(0.008312524909621168) * r + real(0.04189011322082906)
     p = p * r2 + (real(0.16667114465105606) * r + real(0.49999231790927484))
@@ -194,6 +194,6 @@ def log_parts(x):
 
 @inline
 def log_positive(x):
-    """log(x) for normal x > 0; some -88 at 0."""
+    """log(x) for normal x > 0; about -88 at 0."""
     k, u, quotient = log_parts(x)
     return u * quotient + k * real(_LN2)

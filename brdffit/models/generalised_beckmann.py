@@ -20,7 +20,7 @@ from brdffit.models.elementary import exp_negative, log_positive, reciprocal
 real = np.float32
 
 _LEAST_C = 1e-6
-# q stands in a denominator; at 1e-20 the profile is 1 to float32 for every p >= 0.4.
+# q is a denominator; at 1e-20 the profile is 1 in float32 for every p >= 0.4.
 _LEAST_Q = 1e-20
 # y is capped at e^5: exp(-e^5) is 0 in any precision.
 _MOST_LOG_Y = 5.0

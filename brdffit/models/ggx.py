@@ -1,6 +1,6 @@
 """GGX (Trowbridge and Reitz 1975; Walter, Marschner, Li and Torrance 2007; anisotropic: Burley 2012).
 
-D(h) = 1 / (pi sqrt(det Sigma) (x' Sigma^-1 x + (n.h)^2)^2). No exponential: one division.
+D(h) = 1 / (pi sqrt(det Sigma) (x' Sigma^-1 x + (n.h)^2)^2).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def profile(q, C, s):
 
 @inline
 def profile_gradient(q, C, s):
-    """(q + C)^-2 and its derivatives, -2 (q + C)^-3 by q and by C alike."""
+    """g = (q + C)^-2; dg/dq = dg/dC = -2 (q + C)^-3."""
     r = reciprocal(q + C)
     g = r * r
     slope = real(-2.0) * g * r
@@ -32,7 +32,7 @@ def profile_gradient(q, C, s):
 
 @inline
 def log_normalisation(s):
-    """Nothing to add: the integral of D (n.h) over the hemisphere is 1."""
+    """K = 1: the integral of D (n.h) over the hemisphere is 1."""
     return 0.0, 0.0
 
 

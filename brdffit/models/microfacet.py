@@ -1,15 +1,14 @@
-"""The BRDF around a lobe: masking and shadowing, Fresnel, diffuse, and directions drawn from it. Written once.
+"""The BRDF around a lobe: masking and shadowing, Fresnel, diffuse, and directions drawn from it.
 
     f (n.l) = [F D(h) G2 / (4 n.l n.v) + diffuse (1 - specular)(1 - w(n.l))(1 - w(n.v)) / pi] n.l
 
 with F = specular + (1 - specular) w(v.h) faded out where specular is below 2%, w Schlick's weight; 0 where light or
-viewer is below the horizon of n. With (1 - w(n.l))(1 - w(n.v)) what a smooth surface reflects and what is left to the
-diffuse part add up to at most 1 (Shirley et al. 1997); with 1 - F(v.h), white plastic would give back 115% at 75
-degrees.
+viewer is below the horizon of n. With (1 - w(n.l))(1 - w(n.v)) the specular and the diffuse reflection of a smooth
+surface add up to at most 1 (Shirley et al. 1997); with 1 - F(v.h), white plastic would reflect 115% at 75 degrees.
 
-``reflect`` is what the renderer's loops inline, for any lobe and any choice of terms; ``brdf``, ``draw`` and
-``drawn_density`` are the same for arrays of lobes, for appearances that are drawn in numpy. They take and return
-arrays of n rows: ``normal`` (n, 3) unit vectors in tangent space, ``tensor`` (n, 3) Sigma as (XX, YY, XY) in alpha^2,
+The renderer's loops inline ``reflect``, for any lobe and any choice of terms; ``brdf``, ``draw`` and ``drawn_density``
+do the same for arrays of lobes, for appearances that are rendered in numpy. They take and return arrays of n rows:
+``normal`` (n, 3) unit vectors in tangent space, ``tensor`` (n, 3) Sigma as (XX, YY, XY) in alpha^2,
 ``specular`` and ``diffuse`` (n, 3) linear RGB, directions (n, 3) unit vectors in tangent space away from the surface.
 
 Sources: Walter et al. 2007 (microfacet BRDF); Heitz, JCGT 3(2), 2014 (anisotropic Smith, height-correlated masking and
@@ -31,14 +30,14 @@ from brdffit.models.ggx import profile  # bound anew for other models
 
 real = np.float32
 
-# Terms; bound anew where some are off, and the branches fall away.
+# Terms of the BRDF; a kernel bound to False for a term has no code for it.
 LOBE = True
 MASKING = True
 FRESNEL = True
 DIFFUSE = True
 COSINE = True
 
-#: Below it the quotient of the visibility term overflows single precision; nothing is seen at such an angle anyway.
+#: Below this cosine the quotient of the visibility term overflows single precision; at such angles nothing is visible.
 _LEAST_COSINE = 1e-4
 #: Reflectance below which a surface has no Fresnel peak: no real material reflects less than 2%.
 LEAST_REFLECTANCE = 0.02
@@ -54,13 +53,14 @@ def fifth_power(cosine):
 
 @inline
 def reflect(x, y, z, i_xx, i_yy, i_xy, t_xx, t_yy, t_xy, amplitude, shape, h_x, h_y, h_z, l_x, l_y, l_z, v_x, v_y, v_z):
-    """(lobe, cosine): what a lobe reflects but for colour and Fresnel, and n.l; of a normal, its tensor and directions.
+    """(lobe, cosine): the reflection of a lobe without colour and Fresnel, and n.l.
 
-    ``amplitude`` is K(shape) / (pi sqrt(det Sigma)). Vectors are carried into the frame of n, R'w = (w_xy - k n_xy,
-    n.w) with k = (w_xy.n_xy) / (1 + n_z) + w_z. G2 / (4 n.l n.v) is the height-correlated Smith term of GGX,
-    1 / (2 (n.l sqrt(n.v^2 + v' Sigma v) + n.v sqrt(n.l^2 + l' Sigma l))), for every lobe: masking differs between
-    lobes by less than a picture shows. Both results are 0 where light or viewer is below the horizon of n, with the
-    terms that know of a horizon.
+    (x, y, z) is the normal, ``i_xx``... the inverse of the tensor ``t_xx``..., ``amplitude`` K(shape) /
+    (pi sqrt(det Sigma)). Vectors are transformed to the frame of n, R'w = (w_xy - k n_xy, n.w) with
+    k = (w_xy.n_xy) / (1 + n_z) + w_z. G2 / (4 n.l n.v) is the height-correlated Smith term of GGX,
+    1 / (2 (n.l sqrt(n.v^2 + v' Sigma v) + n.v sqrt(n.l^2 + l' Sigma l))), for every lobe: the differences of masking
+    between lobes do not show in pictures. With MASKING or COSINE both results are 0 where light or viewer is below the
+    horizon of n.
     """
     per = real(1.0) / max(real(1.0) + z, real(1e-6))
     n_l = l_x * x + l_y * y + l_z * z
@@ -78,7 +78,7 @@ def reflect(x, y, z, i_xx, i_yy, i_xy, t_xx, t_yy, t_xy, amplitude, shape, h_x, 
         q = max(a * (i_xx * a + real(2.0) * i_xy * b) + i_yy * b * b, real(0.0))
         lobe = amplitude * cosine * profile(q, min(c * c, real(1.0)), shape)
         if not (MASKING or COSINE):
-            # Lobes end at their own horizon.
+            # Without these terms nothing else ends a lobe at its own horizon.
             lobe = lobe if c > real(0.0) else real(0.0)
         if MASKING:
             k = (v_x * x + v_y * y) * per + v_z
@@ -96,7 +96,7 @@ def reflect(x, y, z, i_xx, i_yy, i_xy, t_xx, t_yy, t_xy, amplitude, shape, h_x, 
 
 @inline
 def constant_profile(q, C, s):
-    """The profile of a distribution that the caller evaluates: all of it is in the amplitude."""
+    """Profile 1, for a distribution that the caller evaluates and passes as the amplitude."""
     return real(1.0)
 
 
@@ -108,7 +108,7 @@ def brdf_rows(normal, tensor, amplitude, of_lobe, shape, specular, diffuse, view
     """
     for i in range(out.shape[0]):
         xx, yy, xy = float(tensor[i, 0]), float(tensor[i, 1]), float(tensor[i, 2])
-        # Rounding of the stored entries can make a very eccentric tensor indefinite.
+        # Rounding of the stored entries can make a very anisotropic tensor indefinite.
         determinant = max(xx * yy - xy * xy, max(1e-12 * xx * yy, 1e-30))
         v_x, v_y, v_z = view[i, 0], view[i, 1], view[i, 2]
         l_x, l_y, l_z = light[i, 0], light[i, 1], light[i, 2]
@@ -142,7 +142,7 @@ def brdf_rows(normal, tensor, amplitude, of_lobe, shape, specular, diffuse, view
 
 @kernel
 def draw_rows(normal, tensor, share, view, u, out):
-    """Write one direction a lobe into ``out`` (n, 3); see ``draw``."""
+    """Write one direction for each lobe into ``out`` (n, 3); see ``draw``."""
     for i in range(out.shape[0]):
         x, y, z = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
         angle = 2.0 * math.pi * u[i, 1]
@@ -205,13 +205,13 @@ def brdf(
     shape: NDArray | None = None,
     density: NDArray | None = None,
 ) -> NDArray:
-    """The BRDF times n.l, (n, 3) float32: what a light of irradiance 1 on a facing surface sends to the viewer.
+    """The BRDF times n.l, (n, 3) float32: radiance to the viewer under a light of irradiance 1 on a facing surface.
 
     Args:
         model: the lobe D(h).
         shape: (n,) further parameter of the lobe, or None.
-        density: (n,) values of D(h) per steradian, where the caller's distribution of normals is no lobe of ours;
-            ``tensor`` then serves the masking term alone, and ``model`` and ``shape`` say nothing.
+        density: (n,) values of D(h) per steradian, for a distribution of normals that is not one of these models;
+            ``tensor`` is then used only by the masking term, and ``model`` and ``shape`` are ignored.
     """
     count = len(light)
     of_lobe = density is None
@@ -233,9 +233,9 @@ def brdf(
 def draw(normal: NDArray, tensor: NDArray, share: NDArray, view: NDArray, u: NDArray) -> NDArray:
     """A direction (n, 3) float64 for each row, with the density of ``drawn_density``.
 
-    With probability ``share`` (n,) the mirror image of the view in a half vector of the GGX lobe (which has the longest
-    tails of all lobes here), with the rest cosine-distributed about the normal. ``u`` (n, 2) is uniform in [0, 1).
-    Directions below the horizon do come up; the BRDF is 0 there.
+    With probability ``share`` (n,) it is the view mirrored at a half vector drawn from the GGX lobe (which has the
+    longest tails of all lobes here), otherwise cosine-distributed about the normal. ``u`` (n, 2) is uniform in [0, 1).
+    Some directions lie below the horizon, where the BRDF is 0.
     """
     out = np.empty((len(u), 3))
     draw_rows(_rows(normal, 3), _rows(tensor, 3), _double(share), _double(view), _double(u), out)
@@ -243,7 +243,7 @@ def draw(normal: NDArray, tensor: NDArray, share: NDArray, view: NDArray, u: NDA
 
 
 def drawn_density(normal: NDArray, tensor: NDArray, share: NDArray, view: NDArray, light: NDArray) -> NDArray:
-    """Density (n,) float64 per steradian with which ``draw`` finds ``light``.
+    """Density (n,) float64 per steradian with which ``draw`` returns ``light``.
 
     share D(h) (n.h) / (4 v.h) + (1 - share) (n.l) / pi, D of GGX.
     """
@@ -253,7 +253,7 @@ def drawn_density(normal: NDArray, tensor: NDArray, share: NDArray, view: NDArra
 
 
 def share_of_lobe(specular: NDArray, diffuse: NDArray) -> NDArray:
-    """The part (n,) of directions that ``draw`` should take from the lobe: that of its albedo, within 0.1 and 0.9."""
+    """The share (n,) of directions that ``draw`` should take from the lobe: its share of the albedo, in [0.1, 0.9]."""
     lobe, matt = specular.mean(axis=1, dtype=np.float64), diffuse.mean(axis=1, dtype=np.float64)
     return np.clip(lobe / np.maximum(lobe + matt, 1e-9), 0.1, 0.9)
 
@@ -267,7 +267,7 @@ def _normalisation(model: Any, shape: NDArray) -> NDArray:
 
 @cache
 def _brdf_rows(model: str | None) -> Any:
-    """``brdf_rows`` of a model; None: of a density that the caller evaluates."""
+    """``brdf_rows`` of a model, or with None of a density that the caller evaluates."""
     name = "density" if model is None else model
     bound = constant_profile if model is None else get_model(model).profile
     return specialise(brdf_rows, "_" + name.replace("-", "_"), profile=bound)
