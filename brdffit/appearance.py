@@ -1,4 +1,4 @@
-"""What the renderer asks of a result, and of the truth: appearances that need not be lobes.
+"""The interfaces of the renderer to a result and to the truth, neither of which need be made of lobes.
 
 An appearance says what a pixel of a baked material reflects, whatever it is made of: a pyramid of lobes, two lobes, a
 distribution of normals, a network. The renderer reads it once for each pixel (``look_up``) and then asks for every
@@ -47,7 +47,7 @@ class Lookups(NamedTuple):
 
 @runtime_checkable
 class Appearance(Protocol):
-    """What a material looks like at any distance. All directions are unit vectors in tangent space.
+    """The appearance of a material at any distance. All directions are unit vectors in tangent space.
 
     ``texels`` is whatever ``look_up`` returns; the renderer hands it back as it is. What depends on the view alone (a
     neural offset, say) belongs in ``look_up``.
@@ -59,7 +59,7 @@ class Appearance(Protocol):
         ...
 
     def look_up(self, lookups: Lookups) -> Any:
-        """What is read once for n pixels, for all lights."""
+        """Read what n pixels need once, for all lights."""
         ...
 
     def evaluate(self, texels: Any, view: NDArray, light: NDArray) -> NDArray:
@@ -131,7 +131,7 @@ class LobePyramid:
     levels: Sequence[Svbrdf]
 
     def __post_init__(self) -> None:
-        # A cut-out is seen before a black ground, here as in the reference.
+        # A cut-out is composited over black, here as in the reference.
         object.__setattr__(self, "levels", [level.over_black() for level in self.levels])
 
     @property

@@ -1,4 +1,4 @@
-"""What is said and shown of a result: its figures against the dense rule, its preview, and averaged maps beside it."""
+"""Judging a result: its figures against the dense rule, its preview, and the averaged maps beside it."""
 
 from __future__ import annotations
 

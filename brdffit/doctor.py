@@ -66,7 +66,7 @@ class Treatment:
     """What the fit made of some texels: how many, statuses by name, SNR in dB as the fit sees it and as measured.
 
     ``energy_kept`` is the mean of rho over the filtered colour; ``mistaken`` counts texels whose measured error is far
-    above what the fit believes.
+    above the fit's own figure.
     """
 
     texels: int
@@ -86,7 +86,7 @@ class Finding:
         level: of the texels that are counted; 0 is the base.
         texels, share: how many texels of that level, and which part of it.
         worst: (level, column, row) of the worst ones, the worst first.
-        meaning: one sentence: what it does to a baked pyramid.
+        meaning: one sentence on its effect on a baked pyramid.
         treatment: what the fit made of the worst ones; None where nothing is fitted.
     """
 
@@ -111,7 +111,7 @@ class LevelTreatment:
 
 @dataclass
 class Diagnosis:
-    """What the doctor has to say of a set; ``advice`` and ``notes`` are sentences."""
+    """The findings, levels and options of one set; ``advice`` and ``notes`` are sentences."""
 
     name: str
     width: int
@@ -137,7 +137,7 @@ def diagnose(
         source: a folder of textures, a .gltf, .glb or .mtlx file, a TextureSet or an Svbrdf.
         manifest: manifest.json of a bake of it: its options and statuses are taken instead of a sample's.
         reading: arguments of ``read_texture_set``.
-        phase: told when a phase begins: "reading", "compiling", "looking".
+        phase: called when a phase begins, with "reading", "compiling" or "looking".
         options: fields of ``FitOptions``; they win over the manifest's.
 
     Raises:
@@ -222,7 +222,7 @@ def _found(case: str, level: int, badness: NDArray, limit: float, meaning: str) 
 
 
 def _stored_normals(texture_set: TextureSet, svbrdf: Svbrdf) -> list[Finding]:
-    """What only the stored map tells: short vectors, and noise of its codes."""
+    """Findings in the normal map as stored: short vectors, and noise of its codes."""
     named = texture_set.maps["normal"]
     pixels, noise = named.read()
     if pixels.shape[2] < 2:

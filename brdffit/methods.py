@@ -1,8 +1,8 @@
-"""What a method is, what it is given and returns, and how methods are found.
+"""The interface of methods, what they are given and return, and how they are found.
 
-A method turns a material into what is drawn at a distance. Ours, the baselines and whatever comes later are all alike:
-one class that follows ``Method``, named by an entry point of the group ``brdffit.methods`` (or given as
-``module:object``). A method whose result is a pyramid of lobes derives from ``LobeMethod`` and writes one function.
+A method turns a material into what is drawn at a distance. Each method, ours and the baselines too, is one class that
+follows ``Method``, named by an entry point of the group ``brdffit.methods`` (or given as ``module:object``). A method
+whose result is a pyramid of lobes derives from ``LobeMethod`` and writes one function.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from brdffit.options import BakeOptions, LobeOptions
 from brdffit.roughness import tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 
-#: The method that is taken where none is named, and against which the others are held.
+#: The default method, with which reports compare the others.
 DEFAULT = "bfgs"
 
 #: progress(level, texels_done, texels_of_level): called from time to time while a level is baked.
@@ -33,7 +33,7 @@ Progress = Callable[[int, int, int], None]
 
 @dataclass
 class Material:
-    """What a method is given: everything that a texture set holds.
+    """The input of a method: everything that a texture set holds.
 
     Attributes:
         svbrdf: one lobe a texel, with height, occlusion and opacity where the set has them.
@@ -123,7 +123,7 @@ class Image(NamedTuple):
 
 @dataclass
 class Baked:
-    """What a method returns.
+    """The result of a method.
 
     Attributes:
         method: its name.
@@ -161,7 +161,7 @@ class Baked:
 
     @property
     def levels(self) -> Sequence[Level | None]:
-        """What is said of each level of lobes; None for each level of a result without lobes."""
+        """The levels of lobes; None for each level of a result without lobes."""
         return [None] * len(self.sizes) if self.lobes is None else self.lobes.levels
 
     @property

@@ -279,7 +279,7 @@ def _checked(each: Described, value: Any) -> Any:
     """The value as the option's type.
 
     Raises:
-        OptionError: when it is none.
+        OptionError: when it cannot be read as that type, or is outside the limits.
     """
     nothing = value is None or (isinstance(value, str) and value.strip().lower() == _NOTHING)
     if nothing and type(None) in _alternatives(each.kind):

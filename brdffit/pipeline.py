@@ -123,7 +123,7 @@ def bake(
         method: see ``brdffit methods``.
         preset: an engine's preset; says whether the specular scale and the anisotropy can be stored.
         without: roles of a set that are not read, see ``to_svbrdf``; without "normal" the normal is held.
-        progress: told of phases and texels.
+        progress: called with phases and texels.
         options: of the method, see ``brdffit methods NAME``, and how a folder is read: those of
             ``textures.READING_OPTIONS``.
 
@@ -316,7 +316,7 @@ def finish(
 
 
 def _in_background(work: Callable[[], None]) -> Future[None]:
-    """Run work in a thread of its own, without keeping an error of the caller waiting for its end."""
+    """Run work in a thread of its own, so that an error of the caller is reported before the work ends."""
     pool = ThreadPoolExecutor(1)
     started = pool.submit(work)
     pool.shutdown(wait=False)

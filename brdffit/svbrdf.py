@@ -84,7 +84,7 @@ class Svbrdf:
 
         A level's target sum_i f_i a_i rho_i D_i / sum_i f_i a_i, for filter weights f, is linear in the colours: bake
         these, filter w alongside, and divide. So every method that weighs lobes by their colours weighs them by opacity
-        too, and what no surface covers at all comes out as the average of what lies there.
+        too, and a footprint without any surface comes out as the plain average of its texels.
         """
         if self.opacity is None:
             return self

@@ -39,7 +39,7 @@ def compare(
         sources: folders of textures, .gltf, .glb or .mtlx files, TextureSets or Svbrdfs.
         asked: options of the comparison; one for all sets, or one for each (of the same methods).
         command: command line that repeats the comparison, for the record.
-        listener: told of phases and texels.
+        listener: called with phases and texels.
 
     Returns:
         The records, and the pictures they name.

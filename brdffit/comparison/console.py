@@ -36,7 +36,7 @@ class Written(NamedTuple):
 
 
 class ComparisonDisplay:
-    """What a comparison is doing, on standard error: one line, and a bar while texels are baked."""
+    """The progress of a comparison, on standard error: one line, and a bar while texels are baked."""
 
     def __init__(self) -> None:
         self._console = console = Console(stderr=True, highlight=False, markup=False)
@@ -162,7 +162,7 @@ def _overall_table(comparison: Comparison) -> Table:
 
 
 def _probe_table(comparison: Comparison) -> Table:
-    """What a probe costs every method."""
+    """The error that a probe adds to every method."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("method\n")
     for title in ("environment\nSNR", "probe\nSNR", "\nlost", "environment\nrelative L2", "probe\nrelative L2"):

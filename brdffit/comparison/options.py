@@ -25,7 +25,7 @@ THROUGH_PROBE = PROBE_LIGHTING
 
 @dataclass(frozen=True)
 class CompareOptions:
-    """What is compared, and how closely.
+    """The options of a comparison.
 
     Attributes:
         methods: their names, in the order of the tables, see ``variant``; empty takes all that are installed.

@@ -38,7 +38,7 @@ from brdffit.report.records import (
 )
 from brdffit.svbrdf import Svbrdf, level_sizes
 
-#: Levels whose lobes are shown, held to those that a set has.
+#: Levels whose lobes are shown, clamped to those that a set has.
 _LOBE_LEVELS = (1, 3, 5)
 _MEASURE_NODES, _MEASURE_SAMPLES = 1024, (16, 96)
 _NO_LOBES = "It bakes no lobes: half-angle figures, lobes and roughness maps are left out."
@@ -131,7 +131,7 @@ class SetComparison:
         return views
 
     def _notes_of_truth(self) -> list[str]:
-        """What a reader must know where the truth is not the set's SVBRDF."""
+        """Notes for readers where the truth is not the set's SVBRDF."""
         if self.truth is self.base:
             return []
         name = type(self.truth).__name__
@@ -176,7 +176,7 @@ class SetComparison:
         return baked, seconds
 
     def _trained(self, name: str) -> list[str]:
-        """What a method says of its training, which is no part of its seconds."""
+        """A method's note on its training, which its seconds do not count."""
         method, options = variant(name, self.asked.options)
         said = method.trained(options) if isinstance(method, LobeMethod) else ""
         return [said] if said else []

@@ -25,7 +25,7 @@ from brdffit.render.terms import Terms
 from brdffit.report.records import Figures, Shot, View, capped
 from brdffit.svbrdf import Svbrdf, level_sizes
 
-#: MIP levels at which a set is seen (Kemppinen et al. 2023, figure 5); held to the levels that it has.
+#: MIP levels at which a set is seen (Kemppinen et al. 2023, figure 5), clamped to the levels that it has.
 DISTANCES = {"near": 0, "mid": 3, "far": 7}
 #: Between level 0 and level 1, where the paper looks at motion (figures 4 and 6), and its rotation a frame, in radians.
 _MOTION_LEVEL, _ROTATION = 0.5, np.radians(0.1)
@@ -146,7 +146,7 @@ def still_views(base_size: tuple[int, int], depth: int, studio: Studio) -> list[
             key = f"{distance}-{_slug(lit)}"
             views.append(Still(key, "distance", f"{title}, {lit}", scene, lit, distance, float(level)))
     slanted = scenes.slanted(base_size, (studio.pixels, studio.pixels))
-    # Level 2, where bumps have become gloss but not yet all; held to what there is.
+    # Level 2, where some bumps have become gloss; clamped to the levels that are seen.
     sphere = scenes.sphere(base_size, min(max(2, levels["near"]), levels["far"]), _pixels(studio, ENVIRONMENT))
     for scene, lit, title in ((slanted, main, "Slanted plane through all levels"), (sphere, last, "Sphere")):
         views.append(Still(scene.name, "scene", f"{title}, {lit}", scene, lit, "", scene.level))

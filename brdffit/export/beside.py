@@ -40,7 +40,7 @@ def alpha_of(base: Svbrdf) -> Alpha | None:
 
 
 def unity_meta(file: str, srgb: bool, wrap: str) -> str:
-    """Settings of Unity's importer of DDS files: whether a picture is sRGB is said here, not in its header.
+    """Settings of Unity's importer of DDS files, which reads here, not in the header, whether a picture is sRGB.
 
     The identifier is made of the file's name, so that baking again keeps what refers to it.
     """

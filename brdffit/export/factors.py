@@ -19,7 +19,7 @@ from brdffit.export.metallic import base_color_and_metallic, reflectance, tinted
 from brdffit.roughness import eigenvalues_of_log
 from brdffit.svbrdf import Svbrdf
 
-#: Texels of a level that are looked at, for normals and for what is missing of F0.
+#: Texels of a level that are sampled, for the normals' scale and for the error of F0.
 _TEXELS = 4096
 #: Scales that are tried: powers of the square root of 2.
 _SMALLEST_EXPONENT = -12

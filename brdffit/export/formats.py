@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from brdffit.errors import UnknownNameError
 from brdffit.svbrdf import level_sizes
 
-#: Bytes of one level, by its number: a writer asks for one after another, so that a single level is held at a time.
+#: Bytes of one level, by its number: a writer asks for levels one after another, so that it holds a single one.
 LevelData = Callable[[int], bytes]
 
 #: Qualifiers of a signed float.
@@ -43,7 +43,7 @@ class PixelFormat:
 
     Attributes:
         name: as in this program.
-        vulkan: VkFormat; 0 for UASTC, which is none.
+        vulkan: VkFormat; 0 for UASTC, which has none.
         dxgi: DXGI number for DDS; None where DDS has none.
         type_size: bytes of the unit that endianness applies to (typeSize of KTX2); 1 for blocks.
         edge: texels an edge of a block: 1 or 4.

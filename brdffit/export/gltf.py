@@ -72,7 +72,7 @@ def write_glb(
     references = {role: {"index": number, **place} for number, role in enumerate(textures)}
     material = _material(name, references, factors)
     if alpha:
-        # What has an alpha is as thin as a leaf: it is seen from both sides.
+        # Cut-outs are mostly thin, as leaves are, and seen from both sides.
         material |= {"alphaMode": "BLEND" if cutoff is None else "MASK", "doubleSided": True}
         material |= {} if cutoff is None else {"alphaCutoff": cutoff}
     document["materials"] = [material]

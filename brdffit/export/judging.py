@@ -16,7 +16,7 @@ from brdffit.svbrdf import Svbrdf
 
 #: Random texels of a level, and pairs of directions for each.
 TEXELS, PAIRS = 256, 32
-#: What is reported where nothing is lost.
+#: SNR in dB that is reported where nothing is lost.
 HIGHEST_DB = 99.0
 
 

@@ -89,7 +89,7 @@ def level_record(
     status_names: Sequence[str] = (),
     measured: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """What the manifest says of one level; ``level`` is None where there are no lobes.
+    """The manifest's record of one level; ``level`` is None where there are no lobes.
 
     ``residual_snr_db`` is -10 log10 of the mean residual as the method itself saw it; null for closed forms, and where
     nothing is left of the residual.

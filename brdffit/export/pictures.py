@@ -111,7 +111,7 @@ def write_pictures(
         bits: 8; or 16: PNG of 16 bits, and floats of 16 bits instead of blocks in DDS and KTX2.
         compress: one of COMPRESSIONS, how long encoders of blocks may take.
         geometry: the geometry that a GLB shows; None for a rectangle.
-        count: is told of each picture.
+        count: counts each picture.
 
     Returns:
         For the manifest: ``pictures``, a record by role, and ``stored``, the figures of ``Cost`` for each level.
@@ -248,7 +248,7 @@ def encoding_of(picture: Picture, preset: Preset, pixels: PixelFormat | None, bi
 
 
 def pixels_of(picture: Picture, preset: Preset, bits: int) -> PixelFormat | None:
-    """The pixel format of a picture; None where its container has none to choose (PNG, EXR)."""
+    """The pixel format of a picture; None where its container has a single one (PNG, EXR)."""
     if preset.container in ("png", "exr"):
         return None
     if bits == 16:

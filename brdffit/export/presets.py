@@ -38,7 +38,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Preset:
-    """What an engine expects.
+    """The files that an engine expects.
 
     Attributes:
         name: as on the command line.

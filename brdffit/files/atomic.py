@@ -49,7 +49,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def first_other(folder: Path, ours: Collection[str]) -> str | None:
-    """The first file below ``folder`` that is none of ``ours`` (relative paths with "/"), as such a path; or None."""
+    """The first file below ``folder`` that is not among ``ours``, as a relative path with "/" like these; or None."""
     for parent, folders, files in os.walk(folder):
         folders.sort()
         for name in sorted(files):

@@ -132,7 +132,7 @@ def read_image(path: str | Path, data: bytes | None = None) -> Image:
         try:
             count = reader.spec().nchannels
             pixels = reader.read_image(info.part, 0, 0, count, oiio.FLOAT)
-            # A truncated JPEG returns an array: only the error tells.
+            # A truncated JPEG returns an array: only the error shows it.
             problem = error_of(reader) if reader.has_error else ""
         except MemoryError as error:
             raise InputError(
@@ -225,7 +225,7 @@ def write_mip_exr(
         spec.tile_depth = 1
         spec.attribute("textureformat", "Plain Texture")
         spec.attribute("compression", "zip")
-        # Without a date of ours the writer stamps the present one, and no two bakes would be alike.
+        # Without this date the writer stores the present one, and no two bakes would have the same bytes.
         spec.attribute("DateTime", "1970:01:01 00:00:00")
         for name, value in (attributes or {}).items():
             spec.attribute(name, value)

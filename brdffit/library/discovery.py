@@ -129,7 +129,7 @@ def _sets_of(folder: Path, place: str, root: Path) -> list[Found]:
 
 
 def _materials(entry: Path) -> list[str]:
-    """Materials of a file; none where it is damaged, which is told when it is read."""
+    """Materials of a file; none where it is damaged, which is reported when it is read."""
     try:
         return material_names(entry)
     except InputError:

@@ -76,7 +76,7 @@ class LibraryDisplay:
 
 
 def print_plan(plan: Plan) -> None:
-    """What a dry run would do."""
+    """Print what a run would bake, and why."""
     console = _console()
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for column in ("set", "size", "why", "method", "preset", "options"):
@@ -93,7 +93,7 @@ def print_plan(plan: Plan) -> None:
 
 
 def print_summary(summary: Summary, output: str) -> None:
-    """What was done, and the list of what failed."""
+    """Print what was done, and the list of what failed."""
     console = _console()
     baked = [outcome for outcome in summary.outcomes if outcome.error is None]
     line = f"{_sets(len(baked))} baked, {len(summary.plan.skipped)} up to date, {len(summary.failures)} failed"

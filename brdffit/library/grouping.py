@@ -158,7 +158,7 @@ def _stem(file: str) -> str | None:
 
 
 def _common_name(files: Sequence[str]) -> str:
-    """What the names begin with, up to a separator."""
+    """The common beginning of the names, up to a separator."""
     if len(files) == 1:
         return files[0].rpartition(".")[0]
     common = os.path.commonprefix(list(files))

@@ -39,7 +39,7 @@ def write_page(store: Store, record: Mapping[str, Any], sources: Mapping[str, st
 
 
 def _row(store: Store, key: str, said: Mapping[str, Any], seconds: Mapping[str, float]) -> dict[str, Any]:
-    """What the page shows of one set."""
+    """The page's row of one set."""
     known = [snr for snr in said["snr_db"] if snr is not None]
     picture = store.read(f"{key}/preview.png")
     return {

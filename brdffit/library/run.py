@@ -110,7 +110,7 @@ def run_library(
         workers: worker processes; None takes one a core.
         memory: bytes that all work may take; None takes four fifths of the machine's.
         scheduler: address of a Dask scheduler that does the work instead.
-        listener: told of what happens.
+        listener: receives the progress.
         options: as of ``brdffit.pipeline.bake_to_folder``; they win over the settings.
 
     Returns:

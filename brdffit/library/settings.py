@@ -63,7 +63,7 @@ class _File(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class _Entry(Struct, frozen=True):
-    """What an entry for some sets says beside their options."""
+    """The fields of an entry for some sets beside their options."""
 
     match: str
     skip: bool = False
@@ -122,7 +122,7 @@ def read_settings(path: Path | None, root: Path) -> Settings:
 
 
 def _said(table: Mapping[str, Any], place: str) -> dict[str, Any]:
-    """What a table of options says, by full name.
+    """The settings and options of a table, by full name.
 
     Raises:
         msgspec.ValidationError: for what no method has, or a value that cannot be; the sentence holds the place.
@@ -153,7 +153,7 @@ def _methods(own: str) -> dict[str, Method]:
 
 
 def split_options(said: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a ``Task`` from all that is said of a set; options that its method does not have are left out.
+    """The fields of a ``Task`` from all settings of a set; options that its method does not have are left out.
 
     Raises:
         UnknownNameError: for an unknown method, model or preset.

@@ -3,7 +3,8 @@
 A request is everything that a result depends on: the contents of every file that could be read (by SHA-256, used or
 not: a new map may take another's place), how they are read, all options, the sources of the program, and the versions
 of what its numbers depend on. Files are always hashed, never trusted by size or date: a set cannot be skipped wrongly,
-and hashing reads a library in a fraction of the time a bake takes. What is written is checked by presence and size.
+and hashing reads a library in a fraction of the time a bake takes. Files of the output are checked by presence and
+size.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ def reason_to_bake(task: Task, manifest: Mapping[str, Any] | None, size_of: Call
         was, files = manifest["request"], manifest["files"]
         if any(size_of(name) != said["bytes"] for name, said in files.items()):
             return "incomplete"
-        # Cheap first: what is told without reading an input.
+        # Cheap checks first: these read no input.
         paths = input_files(task)
         options = bake_options(get_method(task.method), task.preset, task.options)
         now = json.loads(json.dumps(build_request(task, options, dict.fromkeys(paths, ""))))

@@ -93,7 +93,7 @@ def figure(value: float | None) -> str:
 
 
 def _set(result: SetResult, colours: Mapping[str, str], fit: str) -> dict[str, Any]:
-    """What the template wants of a set besides its record."""
+    """The values that the template needs for a set besides its record."""
     return {
         "record": result,
         "curves": plots.level_curves(result, colours, fit),
@@ -143,7 +143,7 @@ def _best_of_level(result: SetResult, level: int) -> dict[str, set[str]]:
 def _data(
     comparison: Comparison, pictures: Mapping[str, NDArray], colours: Mapping[str, str], fit: str
 ) -> dict[str, Any]:
-    """What the script of the page wants: pictures as data addresses, lobes as numbers."""
+    """The data of the page's script: pictures as data URLs, lobes as numbers."""
     sets = []
     for result in comparison.sets:
         views = [

@@ -18,7 +18,7 @@ from brdffit.errors import OutputError
 from brdffit.report.records import Comparison, LobeView, SetResult, unpack
 from brdffit.report.summary import DISTANCES, GROUPS, Row, figure_of, fit_name, view_of
 
-#: The fit first, then the others in their order; told apart by hue and by lightness.
+#: The fit first, then the others in their order; the colours differ in hue and in lightness.
 _COLOURS = (
     "#b3005e",
     "#6b7280",
@@ -146,7 +146,7 @@ def _alpha(power: Any) -> Any:
 
 
 def data_address(picture: NDArray, lossless: bool = False) -> str:
-    """A picture (h, w) or (h, w, 3) uint8 as a data address: JPEG without chroma subsampling, or PNG."""
+    """A picture (h, w) or (h, w, 3) uint8 as a data URL: JPEG without chroma subsampling, or PNG."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -173,7 +173,7 @@ def map_picture(strip: NDArray) -> NDArray:
 
 
 def lobe_pictures(view: LobeView) -> dict[str, str]:
-    """Heat maps of a texel's lobes, all on the scale of the apparent lobe's peak, as data addresses."""
+    """Heat maps of a texel's lobes, all on the scale of the apparent lobe's peak, as data URLs."""
     pictures = {}
     for name, data in view.grids.items():
         values = np.clip(unpack(data, (view.side, view.side)), 0.0, 1.0) ** _LOBE_POWER

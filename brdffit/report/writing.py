@@ -49,7 +49,7 @@ def read_report(records: str | os.PathLike[str]) -> tuple[Comparison, dict[str, 
     """Records and their pictures from the disk; ``records`` is the JSON file or its folder.
 
     Raises:
-        InputError: when a file is missing, or is none of ours.
+        InputError: when a file is missing, or is not of a comparison.
     """
     path = Path(records)
     path = path / RECORDS if path.is_dir() else path

@@ -19,7 +19,7 @@ from brdffit.textures.texture_set import TextureSet
 
 #: Reflectance of a dielectric at normal incidence (index of refraction 1.5).
 DIELECTRIC_F0 = 0.04
-#: What stands for a map that is missing.
+#: Linear base colour and perceptual roughness in place of missing maps.
 DEFAULT_BASE_COLOR, DEFAULT_ROUGHNESS = 0.5, 0.5
 #: Roles whose maps may be left unread.
 UNREAD = ("normal", "height", "ao")

@@ -157,7 +157,7 @@ class FoamBlobs(msgspec.Struct, forbid_unknown_fields=True):
             top = radius * (0.35 + rng.uniform(0.0, 0.5)) * np.sqrt(np.clip(1.0 - 0.92 * q, 0.0, None))
             second = np.maximum(second, np.minimum(highest, top))
             highest = np.maximum(highest, top)
-        # Where two blobs are alike high they meet in a fold.
+        # Where two blobs are equally high they meet in a fold.
         near = np.exp(-(((highest - second) / 0.006) ** 2))
         height = highest - 0.006 * near + 0.0012 * lumps + 0.0003 * fine
         shade = (1.0 + 0.05 * lumps + 0.03 * fine)[:, :, None]

@@ -17,9 +17,9 @@ from brdffit.textures.texture_set import TextureSet
 
 #: Mean length of stored normals below which they are called short.
 SHORT_LENGTH = 0.95
-#: Slope from which a normal is called steep, and the share of such texels worth a sentence.
+#: Slope from which a normal is called steep, and the share of such texels from which it is reported.
 STEEP_SLOPE, STEEP_SHARE = 4.0, 0.001
-#: Tilt of the mean normal worth a sentence, in degrees.
+#: Tilt of the mean normal, in degrees, from which it is reported.
 TILT_DEGREES = 2.0
 #: Rounding of float32 and the colour noise of JPEG: a map that varies by less is constant.
 _CONSTANT = 1.5 / 255.0

@@ -181,7 +181,7 @@ class _Reader:
         self.name_layers()
 
     def evaluated(self, role: str, node: Any, name: str) -> Any:
-        """What feeds an input, or None with a note where that cannot be told."""
+        """The expression that feeds an input; where it cannot be evaluated, a note and the shader's default or None."""
         try:
             if role == "normal" and node.getInput(name) is None:
                 return None

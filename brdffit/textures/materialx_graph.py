@@ -23,7 +23,7 @@ from brdffit.textures.materialx_ops import OPERATIONS
 CHANNELS = {"float": 1, "integer": 1, "boolean": 1, "vector2": 2, "color3": 3, "vector3": 3, "color4": 4, "vector4": 4}
 _OUTPUTS = {"outr": 0, "outg": 1, "outb": 2, "outa": 3, "outx": 0, "outy": 1, "outz": 2, "outw": 3}
 _MOST_DEPTH = 200
-#: What the MaterialX package raises; the classes have no base in common.
+#: Exceptions of the MaterialX package, which have no common base.
 ERRORS = (mx.Exception, mx.ExceptionParseError, mx.ExceptionFileMissing, mx.ExceptionFoundCycle,
           mx.ExceptionOrphanedElement, RuntimeError, LookupError)  # fmt: skip
 

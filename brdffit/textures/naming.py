@@ -1,4 +1,4 @@
-"""Roles of the maps of a texture set, told from file names.
+"""Roles of the maps of a texture set, from file names.
 
 Names are split at separators and at changes of case; resolution and file-type words are dropped wherever they stand;
 the role is the longest known phrase that ends the rest. Only what differs between the names of one set counts: a word
@@ -41,7 +41,7 @@ class NamedMap:
         file: the file name as given.
         role: one of ``ROLES``.
         channel: "" for all or the obvious one, else "R", "G", "B" or "A".
-        word: the word of the name that told.
+        word: the word of the name that gave the role.
         normal_y: "gl" or "dx" where the name says it, else "".
     """
 
@@ -217,7 +217,7 @@ def _name_packings(
 
 
 def _maps_of(file: str, tokens: list[str], has_alpha: bool) -> tuple[list[NamedMap], int]:
-    """Maps told by the end of the name, and how many tokens told it."""
+    """Maps by the end of the name, and how many tokens gave them."""
     if len(tokens) > 1 and VARIANT.fullmatch(tokens[-1]):
         named, used = _maps_of(file, tokens[:-1], has_alpha)
         return named, used + 1 if named else 0

@@ -26,7 +26,7 @@ _ROUNDING, _ROUNDING_OF_ALL = 1.0 + 1e-3, 1e-4
 
 @dataclass(frozen=True)
 class CodeNoise:
-    """What the codes of a normal map cannot tell from flat.
+    """Quantisation noise of a normal map.
 
     Attributes:
         step: code step q of a component in [-1, 1]; 0 for float formats, which have no codes.

@@ -1,4 +1,4 @@
-"""What the maps of a set say of each other: which way a normal map's Y goes, and the sign and scale of a height map.
+"""Conventions that the maps of a set imply for each other: a normal map's Y, and the sign and scale of a height map.
 
 Evidence for the Y is weighed. A name that says it, or a file format that defines it, counts 1; a guess by a whole set's
 names counts 0.5. The map's own slopes count by a correlation: those of a surface have no curl, dm_x/dy = dm_y/dx, and
@@ -46,8 +46,8 @@ class Evidence:
 def settle_normal_y(texture_set: TextureSet, normal_y: str | None) -> None:
     """Decide the normal's Y: as it is given, as the file defines it, or by the strongest evidence; OpenGL without any.
 
-    What a name or a file states is not measured here, for measuring reads the map; ``contradiction`` tells of it when
-    the map is decoded.
+    Where a name or a file states it, nothing is measured here, since that would read the map; ``contradiction`` is
+    checked when the map is decoded.
     """
     if normal_y is not None:
         texture_set.normal_y, texture_set.normal_y_source = normal_y, "given"
@@ -86,7 +86,7 @@ def settle_normal_y(texture_set: TextureSet, normal_y: str | None) -> None:
 
 
 def measured_evidence(texture_set: TextureSet) -> list[Evidence]:
-    """What the normal map and the height map say of the normal's Y as stored."""
+    """Evidence of the normal map and of the height map, as stored, for the normal's Y."""
     normal = texture_set.maps["normal"]
     pixels, noise = normal.read()
     if pixels.shape[2] < 2:

@@ -1,4 +1,4 @@
-"""What generators of procedural sets are made of: their maps, and tileable noise, scatter and steps."""
+"""Building blocks of generators of procedural sets: their maps, and tileable noise, scatter and steps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Color = tuple[float, float, float]
 
 @dataclass
 class Maps:
-    """What a generator makes; None where the set has no such map. A map of one value may be of one texel.
+    """The maps of a generator; None where the set has no such map. A map of one value may have one texel.
 
     Attributes:
         color: (H, W, 3) linear.

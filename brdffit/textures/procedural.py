@@ -1,4 +1,4 @@
-"""Texture sets made from recipes: what the program ships, and bakes on a machine that has no textures of its own.
+"""Texture sets made from recipes, which the program ships so that it can bake on a machine without textures.
 
 A recipe (``data/*.toml``) names a generator, a seed and parameters. All sets tile, save the record.
 """
@@ -34,7 +34,7 @@ ON_DEMAND = ("brushed-strokes-4k",)
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What a recipe file holds; ``size`` is the side of its maps in texels, unless another is asked for."""
+    """A recipe file; ``size`` is the side of its maps in texels, unless another is asked for."""
 
     summary: str
     generator: str

@@ -18,7 +18,7 @@ from brdffit.textures.texture_set import Map, TextureSet
 #: Height range of a height map without a given scale, as a share of the texture's longer side: about the median of the
 #: real sets whose normal maps tell it.
 DEFAULT_HEIGHT_SHARE = 0.02
-#: Correlation from which the curl of a normal map is held against what its name says.
+#: Correlation from which the curl of a normal map is reported as contradicting its name.
 _CONTRADICTS = 0.5
 #: The mean of a normal map's red and green where 0.5 was decoded from sRGB, or encoded to it.
 _SRGB_MEANS = {"decoded as": 0.2140, "encoded as": 0.7354}

@@ -55,7 +55,7 @@ def view(
         preset: adds a panel of the first method's levels as an engine reads them: encoded, compressed and decoded.
         environment: equirectangular picture of light from all around; None: one that the page draws.
         reading: how a set is read.
-        progress: told of phases and texels.
+        progress: called with phases and texels.
 
     Returns:
         ``output``.
@@ -135,7 +135,7 @@ def _bake(
     pyramids: list[tuple[str, Pyramid | list[Svbrdf]]] = []
     for name in methods:
         method = get_method(name)
-        # Metallic-roughness maps have no room for a scale of the lobe, and an average has none either.
+        # As for metallic-roughness maps the scale of the lobe is held: averaged maps have none either.
         asked = bake_options(method, "three", _with(method, quality))
         baked = run(read, method, asked, phases)
         if baked.lobes is None:
