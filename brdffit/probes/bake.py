@@ -1,4 +1,4 @@
-"""One environment to a folder of what an engine loads: the road that `brdffit probe` takes."""
+"""Filter one environment and write the folder that an engine loads: the work of `brdffit probe`."""
 
 from __future__ import annotations
 
@@ -45,22 +45,29 @@ _MIRRORS = {"": np.diag([1, 1, 1]), "x": np.diag([-1, 1, 1]), "z": np.diag([1, 1
 
 @dataclass(frozen=True)
 class ProbeOptions:
-    """What a probe is asked for; None leaves it to the preset.
+    """Options of one probe. Where a value of the preset may be None here, None keeps the preset's.
 
     Attributes:
         preset: a name of ``presets.PRESETS``.
-        size, levels, curve, texel_format: instead of the preset's.
-        method, tolerance, samples, order, table: how levels are filtered (``filtering.FilterOptions``).
-        split: bright texels above this times the mean apart; for "exr" they are left out of level 0.
-        level0: "copy" or "filter".
-        keep_narrow: sample lobes that are narrower than a texel at its centre.
+        size: texels along a face of level 0, a power of two of at least 16.
+        levels: how many levels, level 0 counted, 2 to log2(size) + 1.
+        curve: a name of ``curves.CURVES``, or the roughness of each level as "r0,r1,...".
+        texel_format: a name of ``containers.RADIANCE_FORMATS``.
+        method, samples, order: how levels are filtered (``filtering.FilterOptions``).
+        tolerance: wanted relative L1 error of a level, 0.00001 to 0.5.
+        table: name or file of the table for the method "table".
+        split: texels brighter than this multiple of the mean are filtered apart (all methods but "tree" and "brute").
+            In the container "exr" they are also cut off in level 0.
+        level0: "copy" (a mirror: the source itself) or "filter".
+        keep_narrow: filter a lobe that is narrower than a texel around the texel's centre only, instead of averaging
+            over the texel.
         fit: "texels" (exact values at the texels) or "lookup" (values whose trilinear look-up is nearest the truth).
         rotate: degrees about +Y, from +X towards -Z.
-        layout: of the input, instead of guessing.
-        centre: where the middle of a lat-long picture looks; else as the preset has it.
-        clamp: bring values that are no radiance to what is possible.
-        scale: bring radiance below the largest value of the format by a factor, instead of clamping.
-        picture: draw picture.png.
+        layout: layout of the input (``reading.LAYOUTS``); None guesses it from the shape.
+        centre: direction of the middle of a lat-long picture (``reading.CENTRES``).
+        clamp: set negative values to 0 and infinite ones to the largest finite value, instead of refusing them.
+        scale: scale radiance down to the largest value of the format, instead of clamping it.
+        picture: draw picture.png and faces.png.
     """
 
     preset: str = "plain"
@@ -90,18 +97,19 @@ class Probe:
     """A filtered environment.
 
     Attributes:
-        surroundings: what was read.
-        preset: with what the options changed.
-        curve: roughness of levels.
+        surroundings: the environment as it was read.
+        preset: the preset with the changes of the options.
+        curve: roughness of each level.
         source: (6, N, N, 3) cube map that was filtered, in the world's axes.
         levels: filtered levels, in the world's axes.
-        irradiance: (6, 32, 32, 3) irradiance over pi, and its error against brute force.
-        nine: (9, 3) its harmonics, and their relative L1 error against the cube.
+        irradiance: a level of (6, 32, 32, 3) that holds irradiance over pi, with its error against brute force.
+        nine: (9, 3) coefficients of irradiance over pi, see ``harmonics.irradiance_nine``.
+        nine_error: relative L1 of these nine harmonics against the irradiance cube.
         sun: the lamp that stands out, or None.
-        clamped: texels beyond the format, of all levels.
-        scale: what radiance was multiplied by.
-        notes: sentences.
-        seconds: of each phase.
+        clamped: how many texels of all levels were clamped to the largest value of the format.
+        scale: factor that all radiance here was multiplied by; 1 unless ``ProbeOptions.scale`` was needed.
+        notes: sentences for the user.
+        seconds: wall-clock seconds of each phase.
     """
 
     surroundings: Surroundings
@@ -119,15 +127,15 @@ class Probe:
     seconds: dict[str, float] = field(default_factory=dict)
 
     def stored(self, cube: NDArray) -> NDArray:
-        """A cube map as the engine looks it up: mirrored as the preset says."""
+        """A cube map (6, n, n, 3) as it is stored for the engine: mirrored along the preset's axis, if it has one."""
         return reoriented(cube, _MIRRORS[self.preset.mirror])
 
 
 def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = None) -> Probe:
-    """Read and filter an environment.
+    """Read and filter an environment; ``threads`` is the number of workers, None for all cores.
 
     Raises:
-        InputError: as ``read_surroundings``, and for options that do not go together.
+        InputError: as ``read_surroundings``, and for options that are out of range or do not go together.
     """
     threads = threads or default_threads()
     preset = _preset(options)
@@ -166,12 +174,12 @@ def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = No
 def _filtered(
     source: NDArray, preset: ProbePreset, curve: Curve, options: ProbeOptions, threads: int, notes: list[str]
 ) -> tuple[list[FilteredLevel], FilteredLevel]:
-    """All levels of a cube and its irradiance; what is to be known of them is added to ``notes``."""
+    """All levels of a cube and its irradiance; adds sentences for the user to ``notes``."""
     tables = _tables(options, curve) if options.method == "table" else ()
     filtering = FilterOptions(
         options.method, options.tolerance, options.split, options.samples, options.order, tables, threads
     )
-    # What the other methods make is one lobe a texel.
+    # Only "tree" and "brute" can average several lobes over a texel.
     keep_narrow = options.keep_narrow or options.method not in ("tree", "brute")
     requests = level_requests(curve, preset.size, source.shape[1], options.level0 == "copy", keep_narrow)
     wide = LevelRequest(0, IRRADIANCE_SIZE, 1.0, 1.0)
@@ -196,7 +204,7 @@ def _filtered(
 
 
 def _preset(options: ProbeOptions) -> ProbePreset:
-    """The preset with what the options change, checked."""
+    """The preset with the changes of the options, checked."""
     preset = get_probe_preset(options.preset)
     size = options.size or preset.size
     if size < 16 or size & (size - 1):
@@ -231,7 +239,7 @@ def _tables(options: ProbeOptions, curve: Curve) -> tuple:
 def _within_format(
     levels: list[FilteredLevel], preset: ProbePreset, scale_down: bool, notes: list[str]
 ) -> tuple[list[FilteredLevel], float, int]:
-    """Levels that the format can hold, what they were scaled by, and how many texels were clamped."""
+    """Levels that the format can hold, the factor that they were scaled by, and how many texels were clamped."""
     largest = RADIANCE_FORMATS[preset.texel_format].largest if preset.container != "exr" else float("inf")
     peak = max(float(level.radiance.max()) for level in levels)
     if peak <= largest:
@@ -249,7 +257,7 @@ def _within_format(
 
 
 def request_digest(path: Path, options: ProbeOptions) -> str:
-    """A digest of an input and what is asked of it: equal digests need no new work."""
+    """SHA-256 of the input files, the options and the version: where it is unchanged, the probe is up to date."""
     files: list[Path] = []
     if not is_built_in(path):
         files = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
@@ -261,10 +269,17 @@ def request_digest(path: Path, options: ProbeOptions) -> str:
 def bake_probe(
     path: str | Path, output: Path, options: ProbeOptions, threads: int | None = None, command: str = ""
 ) -> tuple[Probe, dict[str, Any]]:
-    """Make a probe and write its folder, whole or not at all; returns it with its manifest.
+    """Make a probe and write its folder, whole or not at all; returns the probe and its manifest.
+
+    Args:
+        path: the environment, see ``reading.read_surroundings``.
+        output: folder to write; an older probe in it is replaced.
+        options: of the probe.
+        threads: workers; None takes all cores.
+        command: command line to record in the manifest.
 
     Raises:
-        InputError: when the environment cannot be used.
+        InputError: when the environment or an option cannot be used.
         OutputError: when the folder cannot be written.
     """
     path = Path(path)
@@ -285,7 +300,7 @@ def bake_probe(
 
 
 def foreign_file(folder: Path) -> str | None:
-    """What in an existing folder no probe wrote."""
+    """Name of a file in a folder that no probe wrote, or None; such a folder is not replaced."""
     ours = {"manifest.json", "picture.png", "faces.png", "harmonics.json", "dfg.exr"}
     for kind in ("specular", "irradiance"):
         ours |= {f"{kind}{suffix}" for suffix in (".ktx2", ".ktx", ".dds", ".exr")}
@@ -294,7 +309,7 @@ def foreign_file(folder: Path) -> str | None:
 
 
 def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], command: str) -> dict[str, Any]:
-    """Everything that can be said of a probe, as JSON."""
+    """The manifest of a probe, ready for JSON; ``files`` are the names that were written."""
     levels = [
         {
             "level": each.request.level,

@@ -1,4 +1,4 @@
-"""The commands of `brdffit probe`: they parse and call; heavy imports stand inside."""
+"""The commands of `brdffit probe`. They parse options and call; heavy imports stand inside the functions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _THREADS = click.option("--threads", type=click.IntRange(min=1), help="Else all 
 
 
 class _Probe(click.Group):
-    """`brdffit probe ENV` filters; its other commands have names."""
+    """A group whose default command is ``filter``: `brdffit probe ENV` is `brdffit probe filter ENV`."""
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         if args and args[0] not in self.commands:
@@ -26,7 +26,7 @@ class _Probe(click.Group):
         return super().resolve_command(ctx, args)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        # Options before the environment belong to the command that filters.
+        # Options before the first argument are those of the default command, `filter`.
         if args and args[0].startswith("-") and args[0] not in ("-h", "--help"):
             args = ["filter", *args]
         return super().parse_args(ctx, args)

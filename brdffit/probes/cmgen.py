@@ -1,4 +1,4 @@
-"""Filament's cmgen beside ours, where it is installed: the same picture, the same curve, one cube of 128."""
+"""Filament's cmgen and brdffit on the same picture, curve and cube of 128, where cmgen is installed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from brdffit.probes.filtering import Exact, FilterOptions, filter_levels, level_
 from brdffit.probes.reading import as_cube, read_surroundings, reoriented
 
 _SIZE = 128
-#: cmgen stops at 16^2 by itself, and spreads Filament's curve over the levels that it makes.
+#: cmgen's smallest level is 16^2, and it spreads Filament's curve over the levels that it makes.
 _LEVELS = 4
 _FACES = ("px", "nx", "py", "ny", "pz", "nz")
 #: In cmgen's world the middle of a lat-long picture is +Z, and its cube maps are seen from outside.
@@ -30,7 +30,7 @@ _CENTRE, _MIRROR = "+z", np.diag([-1, 1, 1])
 
 
 def installed() -> str | None:
-    """Where cmgen is on the PATH."""
+    """Path of cmgen, or None where it is not on the PATH."""
     return shutil.which("cmgen")
 
 
@@ -59,9 +59,9 @@ def run_cmgen(path: Path) -> tuple[list[NDArray], float]:
 
 
 def beside_cmgen(path: Path, tolerance: float, threads: int, count: int) -> dict[str, Any]:
-    """Errors of levels 1 to 3 by cmgen and by the tree at ``tolerance``, against brute force on ``count`` texels.
+    """Errors of levels 1 to 3 of cmgen and of the tree at ``tolerance``, against brute force on ``count`` texels.
 
-    Seconds are processor time from the file to the levels; cmgen's holds writing them too.
+    Seconds are processor time from the file to the levels; those of cmgen include writing its levels.
 
     Raises:
         InputError: as ``run_cmgen``, and when the picture is not lat-long.

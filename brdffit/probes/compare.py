@@ -1,4 +1,4 @@
-"""All methods on the same environments: error against time, the paper's tables beside ours, what a look-up adds."""
+"""All filters on the same environments: error and time, the paper's tables beside ours, errors of engines' look-ups."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from brdffit.probes.tables import BASE_SIZE, Goal
 from brdffit.probes.tree import Tree
 
 _LEVELS = 7
-#: Engines whose look-up is measured: curve, levels.
+#: (curve, levels) of the engines whose look-up is measured.
 _LOOKUPS = (("activision", 7), ("quadratic", 7), ("quadratic", 5), ("linear", 7), ("unity", 7), ("unreal", 8))
 _FILES = ("index.html", "records.json", "front.png", "points.png", "searches.png")
 
@@ -83,7 +83,7 @@ def compare_to_folder(
 def _beside_cmgen(
     paths: Sequence[Path], threads: int, count: int, tell: Callable[[str], None]
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Records of lat-long pictures beside Filament's cmgen; none where it is not installed."""
+    """Records of cmgen and brdffit on each lat-long picture; none where cmgen is not installed."""
     if not installed():
         tell("cmgen is not on the PATH (Debian: libfilament-tools): no row of it.")
         return []
@@ -103,7 +103,7 @@ def _foreign(folder: Path) -> str | None:
 
 
 def preimage_tables(count: int, tell: Callable[[str], None]) -> dict[str, Any]:
-    """The paper's tables 1 to 3 measured here: L1 of preimages on ``count`` texels a level."""
+    """The quantities of the paper's tables 1 to 3 for our tables: L1 of preimages on ``count`` texels of each level."""
     alphas = get_curve("activision", _LEVELS, BASE_SIZE).alphas()
     goals = {}
     for level in range(1, _LEVELS):
@@ -165,7 +165,10 @@ def _methods() -> list[tuple[str, FilterOptions]]:
 
 
 def measure_methods(name: str, cube: NDArray, threads: int, count: int) -> list[dict[str, Any]]:
-    """Error and processor seconds of every method on levels 1 to 6 of one environment; brute force's time besides."""
+    """Error and processor seconds of every method on levels 1 to 6 of one environment, one record a method.
+
+    The first record is brute force; its seconds are extrapolated from ``count`` texels of each level.
+    """
     curve = get_curve("activision", _LEVELS, BASE_SIZE)
     requests = level_requests(curve, BASE_SIZE, BASE_SIZE, keep_narrow=True)[1:]
     source = packed_source(cube)
@@ -211,7 +214,7 @@ def _with_threads(options: FilterOptions, threads: int) -> FilterOptions:
 
 
 def measure_seams(name: str, cube: NDArray, threads: int, turns: int) -> dict[str, Any]:
-    """Steps of the tree's error across edges over those beside them: as the environment stands, and turned about."""
+    """``seams.seam_ratios`` of the tree: of the environment as it stands, and summed over ``turns`` rotations."""
     curve, levels = get_curve("activision", _LEVELS, BASE_SIZE), (3, 4, 5)
     requests = [level_requests(curve, BASE_SIZE, BASE_SIZE, keep_narrow=True)[level] for level in levels]
     options = FilterOptions("tree", 0.005, threads=threads)
@@ -226,7 +229,7 @@ def measure_seams(name: str, cube: NDArray, threads: int, turns: int) -> dict[st
 
 
 def measure_lookups(name: str, cube: NDArray, threads: int, count: int) -> list[dict[str, Any]]:
-    """What each engine's look-up errs by on exact texels, and Filament's after the fit."""
+    """Error of each engine's look-up on levels filtered to 0.003, and of Filament's after the fit to the look-up."""
     tree = Tree(cube)
     records = []
     for curve_name, levels in _LOOKUPS:

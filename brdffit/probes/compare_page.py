@@ -1,4 +1,4 @@
-"""The page of the comparison: tables and pictures from its records."""
+"""The HTML page of `brdffit probe compare`, made from its records."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LEVELS = 7
 
 
 def page(records: dict[str, Any]) -> str:
-    """The report as one HTML page."""
+    """The report as one HTML page; ``records`` as ``compare.compare_to_folder`` writes them."""
     environments = records["environments"]
     sections = [
         "<h1>Reflection probes, compared</h1>",

@@ -1,6 +1,6 @@
-"""Cube maps with their levels in KTX2, KTX1 and DDS: packed radiance, and readers for what is not block-compressed.
+"""Cube maps with their levels in KTX2, KTX1 and DDS: a writer, packed formats, and a reader (no block compression).
 
-Levels are lists of cube maps (6, n, n, 3), the sharpest first, faces in the order +X -X +Y -Y +Z -Z. Sources: KTX File
+Levels are lists of cube maps (6, n, n, 3), the largest first, faces in the order +X -X +Y -Y +Z -Z. Sources: KTX File
 Format Specification 1 and 2, the DDS documentation, EXT_texture_shared_exponent, EXT_packed_float.
 """
 
@@ -22,7 +22,7 @@ from brdffit.export.dds import write_dds
 from brdffit.export.formats import FORMATS, PixelFormat, Sample
 from brdffit.export.ktx2 import IDENTIFIER, write_ktx2
 
-#: Effort of Zstandard.
+#: Compression level of Zstandard.
 _ZSTD_LEVEL = 19
 _KTX1 = b"\xabKTX 11\xbb\r\n\x1a\n"
 
@@ -31,9 +31,9 @@ class RadianceFormat(NamedTuple):
     """A way to store radiance.
 
     Attributes:
-        pixels: what KTX2 and DDS call it.
-        largest: largest finite value.
-        opengl: type, format and internal format of a KTX1 header, if it has them.
+        pixels: the format as KTX2 and DDS number it.
+        largest: largest value that is written.
+        opengl: (type, format, internal format) of a KTX1 header; None where KTX1 cannot hold the format here.
     """
 
     pixels: PixelFormat
@@ -42,7 +42,8 @@ class RadianceFormat(NamedTuple):
 
 
 _ONE = 0x3F800000
-#: Mantissas of 9 bits, each with the exponent that they share; with its bias of 15 one is 8448 = 2^9 (1 + 31/2).
+#: Three mantissas of 9 bits, each followed by the exponent that they share, of bias 15. In KTX2's data format
+#: descriptor the mantissa's upper value, which stands for 1, is then 8448 = 2^9 (1 + 31/2).
 _SHARED_EXPONENT = tuple(
     sample
     for channel in range(3)
@@ -65,7 +66,7 @@ def pack_rgb9e5(radiance: NDArray) -> NDArray:
     x = np.clip(np.asarray(radiance, np.float64), 0.0, RADIANCE_FORMATS["rgb9e5"].largest)
     largest = x.max(axis=-1)
     exponent = np.maximum(-16.0, np.floor(np.log2(np.maximum(largest, 1e-30)))) + 16.0
-    # Rounding up may need one bit more.
+    # Where rounding carries a mantissa to 2^9, the exponent grows by one.
     exponent += np.floor(largest / np.exp2(exponent - 24.0) + 0.5) == 512.0
     mantissa = np.floor(x / np.exp2(exponent - 24.0)[..., None] + 0.5).astype(np.uint32)
     return mantissa[..., 0] | mantissa[..., 1] << 9 | mantissa[..., 2] << 18 | exponent.astype(np.uint32) << 27
@@ -78,7 +79,7 @@ def unpack_rgb9e5(packed: NDArray) -> NDArray:
 
 
 def _small_float(x: NDArray, bits: int) -> NDArray:
-    """Unsigned floats of 5 exponent bits and ``bits`` of mantissa, rounded to nearest."""
+    """uint32 bit patterns of unsigned floats with 5 bits of exponent and ``bits`` of mantissa, rounded to nearest."""
     x = np.clip(np.asarray(x, np.float64), 0.0, (2.0 - 2.0**-bits) * 2.0**15)
     exponent = np.clip(np.floor(np.log2(np.maximum(x, 2.0**-14))), -14.0, 15.0)
     mantissa = np.round(x / np.exp2(exponent - bits)).astype(np.int64)
@@ -163,7 +164,7 @@ def write_cube(
 
 
 def _ktx1(levels: Sequence[bytes], n: int, texel_format: str, metadata: Mapping[str, str]) -> bytes:
-    """A KTX1 cube map: imageSize is that of one face, and faces of 4 bytes a texel need no padding."""
+    """Bytes of a KTX1 cube map. imageSize counts one face; rows of at least 4 bytes a texel need no padding."""
     pairs = b""
     for key, value in sorted(metadata.items()):
         entry = key.encode() + b"\0" + value.encode() + b"\0"

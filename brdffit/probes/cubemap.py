@@ -1,4 +1,4 @@
-"""Cube maps: directions and solid angles of texels, what lies beyond an edge, coarser levels, and look-ups.
+"""Cube maps: directions and solid angles of texels, neighbours across edges, coarser levels, and look-ups.
 
 A cube map is an array (6, n, n) or (6, n, n, channels): faces +X -X +Y -Y +Z -Z, row 0 at the top, in the order and
 orientation in which OpenGL, Direct3D, Vulkan and KTX2 look it up; +Y is up. The texel in column i and row j of a face
@@ -44,7 +44,7 @@ def directions(n: int) -> NDArray:
 def solid_angles(n: int) -> NDArray:
     """(n, n) float64 solid angles of the texels of one face, exact: six times their sum is 4 pi; read only.
 
-    The part of a face below u and v, from its centre, has the solid angle atan2(uv, sqrt(1 + u^2 + v^2)).
+    The rectangle from the centre of a face to (u, v) has the solid angle atan2(u v, sqrt(1 + u^2 + v^2)).
     """
     edge = 2.0 * np.arange(n + 1) / n - 1.0
     u, v = np.meshgrid(edge, edge)
@@ -68,13 +68,13 @@ def face_coordinates(direction: NDArray) -> tuple[NDArray, NDArray, NDArray]:
 
 
 class Border(NamedTuple):
-    """Where the texels around padded faces of (n + 2)^2 come from; flat indices into (6, n + 2, n + 2).
+    """Sources of the border texels of padded faces, as flat indices into an array (6, n + 2, n + 2).
 
     Attributes:
-        edge: (24 n,) border texels but corners; each is the texel ``edge_source`` of the face beyond the edge.
-        edge_source: (24 n,) interior texels.
-        corner: (24,) corners, which no face has; each is the mean of three texels, ``corner_source``.
-        corner_source: (24, 3) interior texels.
+        edge: (24 n,) border texels other than corners.
+        edge_source: (24 n,) the interior texel of the neighbouring face that each of them copies.
+        corner: (24,) corners of the border.
+        corner_source: (24, 3) the three interior texels around that corner of the cube, of which each is the mean.
     """
 
     edge: NDArray
@@ -92,7 +92,7 @@ def border(n: int) -> Border:
     on_edge, on_corner = outer_row ^ outer_column, outer_row & outer_column
     at_row, at_column = row[on_edge], column[on_edge]
     u, v = (2.0 * (at_column - 1) + 1.0) / n - 1.0, 1.0 - (2.0 * (at_row - 1) + 1.0) / n
-    # Just over the edge: which texel of the next face that is, hangs on the coordinate along the edge alone.
+    # Move the point to just beyond the edge: the coordinate along the edge then decides the neighbour's texel.
     over = 1.0 + 1e-6 / n
     u = np.where(np.abs(u) > 1.0, np.sign(u) * over, u)
     v = np.where(np.abs(v) > 1.0, np.sign(v) * over, v)
@@ -116,7 +116,7 @@ def border(n: int) -> Border:
 
 
 def pad(cube: NDArray) -> NDArray:
-    """(6, n + 2, n + 2, ...) of a cube map (6, n, n, ...): each face with a border of what lies beyond its edges."""
+    """(6, n + 2, n + 2, ...) of a cube map (6, n, n, ...): each face with a border of its neighbours' texels."""
     n = cube.shape[1]
     padded = np.zeros((6, n + 2, n + 2, *cube.shape[3:]), cube.dtype)
     padded[:, 1:-1, 1:-1] = cube
@@ -141,7 +141,10 @@ def look_up(cube: NDArray, direction: NDArray) -> NDArray:
 
 
 def look_up_trilinear(levels: list[NDArray], direction: NDArray, level: NDArray) -> NDArray:
-    """Value between the levels of a cube map, at a level of detail (...) that is clamped to those there are."""
+    """Trilinear value (..., channels) of the levels of a cube map in directions (..., 3).
+
+    ``level`` (...) is the level of detail; it is clamped to [0, len(levels) - 1].
+    """
     level = np.clip(level, 0.0, len(levels) - 1.0)
     below = np.minimum(level.astype(int), max(len(levels) - 2, 0))
     out = np.zeros((*direction.shape[:-1], levels[0].shape[-1]))
@@ -154,7 +157,7 @@ def look_up_trilinear(levels: list[NDArray], direction: NDArray, level: NDArray)
 
 
 def halved(cube: NDArray) -> NDArray:
-    """The cube map of half the size whose texels are means over four, weighted by solid angle: energy is kept."""
+    """The cube map of half the size; each texel is the mean of four, weighted by solid angle, which keeps energy."""
     n = cube.shape[1]
     angle = solid_angles(n)[..., None]
     shape = (6, n // 2, 2, n // 2, 2, cube.shape[3])
@@ -164,7 +167,7 @@ def halved(cube: NDArray) -> NDArray:
 
 
 def resized(cube: NDArray, n: int) -> NDArray:
-    """A cube map of n^2 faces by area: means where it is finer by powers of two, repeated texels where coarser.
+    """The cube map with faces of n^2 texels: means over texels where it shrinks, repeated texels where it grows.
 
     Raises:
         ValueError: when neither size is a power of two times the other.

@@ -1,8 +1,8 @@
-"""Roughness of each level of a probe, and the level that a shader asks for: one function a curve, in both directions.
+"""Roughness curves: the roughness that each level of a probe is filtered at, and the level that a shader looks up.
 
-Levels are numbered from 0 (sharp) to last; roughness is perceptual (``brdffit.roughness``). Filtering, the light of
-``compare --through-probe``, scenes and the manifests of probes and materials all take their curve from here. Sources:
-the engines' shaders.
+Levels are numbered from 0 (the sharpest); roughness is perceptual, alpha = roughness^2 (``brdffit.roughness``).
+Filtering, ``compare --through-probe``, scenes and all manifests take their curves from here. Sources: the engines'
+shaders.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from brdffit.roughness import (
 
 @dataclass(frozen=True)
 class Curve:
-    """A relation of level and roughness.
+    """The relation between level and roughness of one engine.
 
     Attributes:
         name: as on the command line.
-        levels: how many levels it is for.
-        roughness: perceptual roughness of a level (float array in [0, levels - 1]).
-        level: level of a roughness (float array), the inverse.
+        levels: number of levels.
+        roughness: function from level (float array in [0, levels - 1]) to perceptual roughness in [0, 1].
+        level: its inverse, from perceptual roughness to level.
         formula: the shader's line for ``level``; r is roughness.
     """
 
@@ -53,7 +53,7 @@ def _linear(levels: int, size: int) -> Curve:
 
 
 def _quadratic(levels: int, size: int) -> Curve:
-    """Filament, Ogre, three.js: more levels for sharp lobes."""
+    """Filament, Ogre, three.js: lod = last r (2 - r), which gives sharp lobes more of the levels."""
     last = max(levels - 1, 1)
     return Curve(
         "quadratic",
@@ -77,7 +77,7 @@ def _unity(levels: int, size: int) -> Curve:
 
 
 def _unreal(levels: int, size: int) -> Curve:
-    """Unreal: lod = n - 2 + 1.2 log2 r with the full chain of n levels; levels past it are clamped to roughness 1."""
+    """Unreal: lod = n - 2 + 1.2 log2 r, n the levels of the full chain; roughness is clamped to 1 beyond n - 2."""
     full = int(math.log2(size)) + 1
     return Curve(
         "unreal",
@@ -100,7 +100,10 @@ def _babylon(levels: int, size: int) -> Curve:
 
 
 def _activision(levels: int, size: int) -> Curve:
-    """Activision: gloss 1 - l/last, alpha^2 = 2 / (1 + 2^(18 gloss)); each level is 2^1.5 times as rough."""
+    """Activision: gloss = 1 - lod/last, alpha^2 = 2 / (1 + 2^(18 gloss)).
+
+    With the seven levels of Manson and Sloan, alpha grows by about 2^1.5 from level to level.
+    """
     last = max(levels - 1, 1)
 
     def roughness(level: NDArray) -> NDArray:
@@ -127,7 +130,7 @@ def get_curve(name: str, levels: int, size: int) -> Curve:
     """The curve of a name, or of a list of roughness values "0,0.1,0.4,1", for a cube of ``size`` with ``levels``.
 
     Raises:
-        InputError: when the name is unknown, or a list does not rise from 0 to 1 or has another length.
+        InputError: when the name is unknown, or a list has another length or does not rise strictly within [0, 1].
     """
     if name in CURVES:
         return CURVES[name](levels, size)

@@ -1,4 +1,4 @@
-"""Brute force, and bright texels that are taken out of the picture and added exactly."""
+"""Brute-force filtering, and bright texels that are taken out of an environment and added exactly to each level."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def packed_source(cube: NDArray) -> NDArray:
 
 
 def filtered_exactly(source: NDArray, normals: NDArray, alpha: float, threads: int = 1) -> NDArray:
-    """(q, 3) float64 radiance around normals (q, 3), from every texel of a ``packed_source``."""
+    """(q, 3) float64 filtered radiance around unit normals (q, 3): a sum over every texel of a ``packed_source``."""
     normals = np.ascontiguousarray(normals, np.float64)
     out = np.empty(normals.shape)
     over_rows(lambda first, last: weigh_all(normals, alpha, source, first, last, out), len(normals), threads)
@@ -28,10 +28,10 @@ def filtered_exactly(source: NDArray, normals: NDArray, alpha: float, threads: i
 
 
 def split_bright(cube: NDArray, cap: float) -> tuple[NDArray, NDArray]:
-    """The cube map without what is brighter than ``cap`` times its mean, and what was taken out as points (7, k).
+    """A cube map (6, n, n, 3) with its bright texels scaled down, and the radiance that was taken out as points (7, k).
 
-    A texel is scaled down so that its largest channel is at most cap times the mean of the largest channels; colours
-    stay. The points are laid out as a ``packed_source``; texels and points together hold all the energy.
+    A texel is scaled so that its largest channel is at most ``cap`` times the mean of the largest channels; its hue
+    stays. The points are laid out as a ``packed_source``; the cube map and the points together hold all the energy.
     """
     largest = cube.max(axis=-1)
     limit = cap * float(mean_radiance(largest[..., None])[0])
@@ -42,7 +42,7 @@ def split_bright(cube: NDArray, cap: float) -> tuple[NDArray, NDArray]:
 
 
 def add_bright(level: NDArray, points: NDArray, alpha: float, threads: int = 1) -> NDArray:
-    """A filtered level (6, n, n, 3) with the exact contribution of points that were taken out."""
+    """A filtered level (6, n, n, 3) plus the exact contribution of the ``points`` of ``split_bright``."""
     n = level.shape[1]
     out = level.reshape(-1, 3).astype(np.float64)
     normals = np.ascontiguousarray(directions(n).reshape(-1, 3))

@@ -1,8 +1,8 @@
 """The first pass of Manson and Sloan 2016 (section 4): an intermediate pyramid by quadratic B-splines.
 
 The weight of each of the four bilinear reads is 1/8 + J/(2 sum J), with J = (1 + u^2 + v^2)^(-3/2) at the read: half a
-constant, half the Jacobian brought to unit sum first. (The paper's text reads (1 + J)/2; with the published tables that
-is worse, and the published shader does as here.) Weights sum to one, so a constant stays what it is.
+constant, half the Jacobian normalised to unit sum. (The paper's text reads (1 + J)/2; with the published tables that is
+less accurate, and the published shader does as here.) Weights sum to one, so a constant image stays constant.
 
 Kinds: "quadratic" (four reads), "exact" (16 texels, each with its own Jacobian), "unweighted" (four reads of 1/4) and
 "box" (four texels by solid angle).
@@ -27,7 +27,10 @@ def _jacobian(u: NDArray, v: NDArray) -> NDArray:
 
 @lru_cache(maxsize=32)
 def read_weights(n: int, blended: bool = True) -> NDArray:
-    """(4, n + 2, n + 2) weights of the four reads of each coarse texel, padded by mirroring (kernels/pyramid.py)."""
+    """(4, n + 2, n + 2) weights of the four reads of each coarse texel, padded by mirroring (kernels/pyramid.py).
+
+    ``blended``: with the Jacobian; otherwise every weight is 1/4.
+    """
     weights = np.full((4, n + 2, n + 2), 0.25)
     if blended:
         centre = (2.0 * np.arange(n) + 1.0) / n - 1.0
@@ -47,7 +50,7 @@ def read_weights(n: int, blended: bool = True) -> NDArray:
 
 @lru_cache(maxsize=32)
 def stencil(n: int, kind: str) -> NDArray:
-    """(4, 4, n, n) weight, for each coarse texel, of the 4x4 fine texels around it: row, then column."""
+    """(4, 4, n, n) weights of the 4x4 fine texels (row, column) around each texel of a coarse face of n^2."""
     spline = np.array([0.125, 0.375, 0.375, 0.125])
     near, far = np.array([0.25, 0.75, 0.0, 0.0]), np.array([0.0, 0.0, 0.75, 0.25])
     out = np.zeros((4, 4, n, n))
@@ -73,7 +76,7 @@ def stencil(n: int, kind: str) -> NDArray:
 
 
 def downsampled(cube: NDArray, kind: str = "quadratic") -> NDArray:
-    """The next coarser level of a cube map (6, 2n, 2n, channels), by a stencil of this kind."""
+    """The next coarser level (6, n, n, channels) of a cube map (6, 2n, 2n, channels), by a stencil of KINDS."""
     n = cube.shape[1] // 2
     weights = stencil(n, kind)
     padded = pad(cube.astype(np.float64))
@@ -85,7 +88,7 @@ def downsampled(cube: NDArray, kind: str = "quadratic") -> NDArray:
 
 
 class Layout:
-    """Levels of one pyramid of a single channel in a flat array, as the kernels take them.
+    """Layout of all levels of a single-channel cube map in one flat float64 array, as the kernels take it.
 
     Args:
         base: texels along a face of level 0, a power of two.
@@ -118,5 +121,5 @@ class Layout:
         return flat
 
     def push(self, flat: NDArray, level: int) -> None:
-        """Add the padded ``level`` to the interior of the finer one: the transpose of building it."""
+        """Spread the padded ``level`` over the interior of the next finer one: the transpose of ``pull_level``."""
         push_level(flat, self.offsets[level - 1], self.offsets[level], self.sizes[level], self.weights[level])

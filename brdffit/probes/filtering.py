@@ -1,4 +1,4 @@
-"""The levels of a probe by any of the methods, each with its measured error.
+"""Filter the levels of a probe by any of the methods, and measure the error of each level.
 
 The error of a level is the relative L1 of radiance, sum |a - b| / sum b, against brute force in float64 over the same
 source, on texels drawn from the level (all of a small one).
@@ -26,11 +26,11 @@ from brdffit.probes.tree import Tree, tau_for
 METHODS = ("tree", "brute", "table", "importance", "sh")
 #: Texels of a level that are held against brute force.
 MEASURED = 64
-#: A mirror's lobe where level 0 is filtered.
+#: alpha of a mirror, where level 0 is filtered instead of copied.
 _LEAST_ALPHA = 1e-3
-#: Relative difference of the mean of a level from that of the source that sampling by texels explains.
+#: Relative difference between the mean of a level and that of the source that is left: sampling at texels explains it.
 ENERGY = 1e-3
-#: How often a level is filtered anew when it missed the tolerance.
+#: How often a level is filtered at most, until it meets the tolerance.
 _TRIES = 4
 
 
@@ -41,9 +41,9 @@ class LevelRequest:
     Attributes:
         level: its number.
         n: texels along a face.
-        roughness: perceptual roughness that a shader looks up there.
-        alpha: of the lobe; 0 for a copy of the source.
-        points: a texel is the mean of points^2 lobes around directions within it, for lobes that are narrower than it.
+        roughness: perceptual roughness at which a shader looks it up.
+        alpha: roughness alpha of the lobe; 0 asks for a copy of the source.
+        points: a texel is the mean over points^2 lobes around directions within it; above 1 for narrow lobes.
     """
 
     level: int
@@ -63,9 +63,9 @@ class FilteredLevel:
         seconds: processor time of filtering, all threads.
         error: relative L1 against brute force on sampled texels; 0 for a copy; None if not measured.
         bias: sum over the sampled texels against that of brute force, less one; None if not measured.
-        energy: mean radiance over that of the source, of the three channels' sum. Few texels sample even an exact level
-            by halves of a percent.
-        tau: threshold of the tree, if that is how it was made.
+        energy: mean of the channels' sum over that of the source. Where a level has few texels, even exact values miss
+            1 by half a percent, since they sample the sphere.
+        tau: threshold of the tree; None for other methods.
     """
 
     request: LevelRequest
@@ -80,28 +80,28 @@ class FilteredLevel:
 def level_requests(
     curve: Curve, size: int, source_size: int, copy_first: bool = True, keep_narrow: bool = False
 ) -> list[LevelRequest]:
-    """The levels of a curve on a cube of ``size``: half the size each, never below 1.
+    """The levels of a curve on a cube of ``size``; each is half the size of the one before, and at least 1.
 
     Args:
         curve: roughness of the levels.
         size: texels along a face of level 0.
-        source_size: texels along a face of what is filtered.
-        copy_first: level 0 is the source itself, a mirror.
-        keep_narrow: do not average lobes that are narrower than a texel over it.
+        source_size: texels along a face of the source.
+        copy_first: copy the source to level 0, as for a mirror, instead of filtering it.
+        keep_narrow: filter around texel centres only, even where the lobe is narrower than a texel.
     """
     out = []
     roughness = curve.roughness(np.arange(curve.levels, dtype=np.float64))
     for level, alpha in enumerate(curve.alphas()):
         n = max(size >> level, 1)
         stored = 0.0 if level == 0 and copy_first else max(alpha, _LEAST_ALPHA)
-        # No more points than the source has texels there: a lobe around one of those is about that texel.
+        # More points than the source has texels there would add nothing: so narrow a lobe sees one source texel.
         fits = not keep_narrow and stored > 0.0 and is_narrow(stored, n)
         points = min(max(source_size // n, 1), 2) if fits else 1
         out.append(LevelRequest(level, n, float(roughness[level]), stored, points))
     return out
 
 
-#: Makes a level; a threshold for the tree.
+#: Function from a request and the tree's threshold (None for other methods) to a level (6, n, n, 3).
 _Make = Callable[[LevelRequest, float | None], NDArray]
 
 
@@ -114,7 +114,7 @@ def sampled_texels(n: int, count: int = MEASURED, seed: int = 0) -> NDArray:
 
 
 def points_of(n: int, points: int) -> tuple[NDArray, NDArray]:
-    """(6 n^2, points^2, 3) directions within each texel, and their shares of its solid angle."""
+    """(6 n^2, points^2, 3) directions within each texel, and (6 n^2, points^2) their shares of its solid angle."""
     shape = (6, n, points, n, points)
     at = directions(n * points).reshape(*shape, 3).transpose(0, 1, 3, 2, 4, 5).reshape(6 * n * n, points**2, 3)
     whole = np.broadcast_to(solid_angles(n * points), (6, n * points, n * points)).reshape(shape)
@@ -123,7 +123,7 @@ def points_of(n: int, points: int) -> tuple[NDArray, NDArray]:
 
 
 class Exact:
-    """Some texels of a level by brute force over a ``packed_source``; a level is held against them."""
+    """Brute-force values of ``count`` texels of a level, from a ``packed_source``, to measure levels against."""
 
     def __init__(self, source: NDArray, request: LevelRequest, threads: int = 1, count: int = MEASURED) -> None:
         self._chosen, points = sampled_texels(request.n, count), request.points
@@ -132,7 +132,7 @@ class Exact:
         self._radiance = (exact.reshape(-1, points**2, 3) * share[self._chosen][..., None]).sum(axis=1)
 
     def error_and_bias(self, level: NDArray) -> tuple[float, float]:
-        """Relative L1 of a level (6, n, n, 3) on these texels, and the sum of differences over the same sum."""
+        """(error, bias) of a level (6, n, n, 3) on these texels: sum |a - b| / sum |b| and sum (a - b) / sum |b|."""
         total = float(np.abs(self._radiance).sum())
         difference = level.reshape(-1, 3)[self._chosen] - self._radiance
         scale = 1.0 / total if total > 0.0 else 1.0
@@ -140,10 +140,11 @@ class Exact:
 
 
 def with_energy(level: NDArray, energy: float) -> NDArray:
-    """A filtered level (6, n, n, 3) whose mean is brought to within ENERGY of ``energy``, the source's mean.
+    """A filtered level (6, n, n, 3), scaled so that its mean is within ENERGY of ``energy``, the mean of the source.
 
-    The mean over the sphere of a filtered environment is its own mean, for K has unit integral in l as in n. That of
-    texel values differs a little even where they are exact, since they sample the sphere: so much is left.
+    Both means are of the sum of the channels. Filtering keeps the mean over the sphere, since K has unit integral over
+    n as well as over l. The mean of exact texel values still differs a little, because they sample the sphere; ENERGY
+    leaves room for that.
     """
     found = float(mean_radiance(level).sum())
     if found <= 0.0 or energy <= 0.0:
@@ -158,13 +159,13 @@ class FilterOptions:
 
     Attributes:
         method: one of METHODS.
-        tolerance: wanted relative L1 of each level (the tree).
-        split: bright texels above this times the mean are taken out and added exactly; None for none. (Not the tree,
-            which opens them anyway.)
-        samples: of importance sampling.
-        order: of harmonics.
-        tables: of each level, for ``table``.
-        threads: workers; no result depends on them.
+        tolerance: wanted relative L1 error of each level, for "tree".
+        split: texels brighter than this multiple of the mean are taken out and added exactly; None takes none out.
+            "tree" and "brute" ignore it: the one refines bright nodes anyway, the other is exact.
+        samples: samples a texel, for "importance".
+        order: number of degrees, for "sh".
+        tables: table of each level, None where there is none, for "table".
+        threads: workers; no result depends on their number.
     """
 
     method: str = "tree"
@@ -181,6 +182,8 @@ def filter_levels(
 ) -> list[FilteredLevel]:
     """Filter a cube map (6, N, N, 3), N a power of two and at least the largest n, into the levels asked for.
 
+    Without ``measure`` no error is measured, and the tree neither refines a level nor corrects its mean.
+
     Raises:
         InputError: when the method cannot make a level.
     """
@@ -193,7 +196,6 @@ def filter_levels(
             level = FilteredLevel(request, resized(cube, request.n).astype(np.float32), 0.0, 0.0, 0.0, 1.0)
         else:
             level = _filtered(make, request, tau_for(options.tolerance) if options.method == "tree" else None)
-            # A level that is not measured keeps its mean: that of exact values may differ where texels are few.
             if measure:
                 level = _checked(level, Exact(source, request, options.threads), make, options, energy)
         kept = float(mean_radiance(level.radiance).sum()) / energy if energy > 0.0 else 1.0
@@ -202,7 +204,7 @@ def filter_levels(
 
 
 def _filtered(make: _Make, request: LevelRequest, tau: float | None) -> FilteredLevel:
-    """One level as the method makes it, not measured."""
+    """One level by the method, not measured."""
     began = time.process_time()
     radiance = make(request, tau).astype(np.float32)
     return FilteredLevel(request, radiance, time.process_time() - began, None, None, 1.0, tau)
@@ -211,10 +213,10 @@ def _filtered(make: _Make, request: LevelRequest, tau: float | None) -> Filtered
 def _checked(
     level: FilteredLevel, exact: Exact, make: _Make, options: FilterOptions, energy: float
 ) -> FilteredLevel:  # fmt: skip
-    """A level with its measured error; the tree's is filtered anew, more finely, where it misses the tolerance.
+    """A level with its measured error; a level of the tree that misses the tolerance is filtered again, more finely.
 
-    The tree's levels are brought to the source's mean, but where that costs the tolerance: lobes that fall between
-    texels have another.
+    A level of the tree is also scaled to the mean of the source, unless the error would then exceed the tolerance:
+    where lobes are narrower than texels, even exact values have another mean.
     """
     error, bias = exact.error_and_bias(level.radiance)
     for attempt in range(_TRIES if level.tau else 0):
@@ -232,7 +234,7 @@ def _checked(
 
 
 def _maker(cube: NDArray, source: NDArray, options: FilterOptions) -> _Make:
-    """The method as a function of a level and a threshold."""
+    """The method as a function from a request and a threshold to a level."""
     method, threads = options.method, options.threads
     if method == "tree":
         tree = Tree(cube)
@@ -275,5 +277,5 @@ def _maker(cube: NDArray, source: NDArray, options: FilterOptions) -> _Make:
 
 
 def with_radiance(level: FilteredLevel, radiance: NDArray) -> FilteredLevel:
-    """The same level holding other values."""
+    """The same level with other radiance (6, n, n, 3)."""
     return replace(level, radiance=radiance)

@@ -1,7 +1,7 @@
 """Spherical harmonics: irradiance in few numbers, the paper's Table 3, and an independent oracle of the filters.
 
-Of a zonal kernel K(n.l) only lambda_l = 2 pi integral K(t) P_l(t) dt counts (Funk and Hecke): filtering multiplies the
-harmonics of degree l by it. The polar axis here is +Y; the azimuth is 0 along -Z and grows towards +X.
+Filtering by a zonal kernel K(n.l) multiplies the harmonics of degree l by lambda_l = 2 pi integral K(t) P_l(t) dt (the
+Funk-Hecke theorem). The polar axis here is +Y; the azimuth is 0 along -Z and grows towards +X.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.special import sph_harm_y
 from brdffit.probes.cubemap import directions, resized, solid_angles
 from brdffit.probes.lobe import lobe, lobe_integral
 
-#: Size of the cube that low orders are taken from: they see no finer texels.
+#: Size of the cube that coefficients are taken from: low degrees resolve no finer texels.
 _PROJECTION_SIZE = 64
 #: Constants of the real harmonics of degrees 0 to 2, in the order of ``irradiance_nine``.
 NINE_CONSTANTS = np.array([0.282095, 0.488603, 0.488603, 0.488603, 1.092548, 1.092548, 0.315392, 1.092548, 0.546274])
@@ -23,7 +23,7 @@ NINE_CONSTANTS = np.array([0.282095, 0.488603, 0.488603, 0.488603, 1.092548, 1.0
 def zonal_coefficients(alpha: float, order: int) -> NDArray:
     """(order,) lambda of degrees 0 to order - 1 of the normalised lobe; lambda_0 = 1.
 
-    Gauss points in panels of s, with 1 - t = s^4: they gather at the peak, however narrow it is.
+    Gauss-Legendre points in panels of s with 1 - t = s^4, which gathers them at the peak.
     """
     node, share = legendre.leggauss(16)
     panels = 24 + order
@@ -40,7 +40,7 @@ def zonal_coefficients(alpha: float, order: int) -> NDArray:
 
 
 def truncation_error(order: int, alpha: float = 1.0) -> float:
-    """L1 over the sphere of what a lobe of unit integral loses beyond degrees 0 to order - 1 (Table 3, irradiance)."""
+    """L1 over the sphere between a lobe of unit integral and its harmonics of degrees 0 to order - 1 (Table 3)."""
     t = np.linspace(-1.0, 1.0, 400_001)
     degrees = np.arange(order)
     series = legendre.legval(t, (2.0 * degrees + 1.0) / (4.0 * np.pi) * zonal_coefficients(alpha, order))
@@ -67,7 +67,7 @@ def analysed(cube: NDArray, order: int) -> NDArray:
 
 
 def analysed_latlong(picture: NDArray, order: int) -> NDArray:
-    """The same of an equirectangular picture (H, W, 3), constant inside its pixels, its middle column along -Z."""
+    """``analysed`` for a lat-long picture (H, W, 3), constant inside its pixels, its middle column along -Z."""
     height, width = picture.shape[:2]
     edge = np.linspace(0.0, np.pi, height + 1)
     area = (np.cos(edge[:-1]) - np.cos(edge[1:])) * 2.0 * np.pi / width
@@ -75,7 +75,7 @@ def analysed_latlong(picture: NDArray, order: int) -> NDArray:
     azimuth = (np.arange(width) + 0.5) / width * 2.0 * np.pi - np.pi
     out = np.zeros((order, order, 3), complex)
     for m in range(order):
-        # Over a pixel exp(-i m azimuth) is its value at the centre times sinc.
+        # The mean of exp(-i m azimuth) over a pixel is its value at the centre times sinc.
         turned = np.exp(-1j * m * azimuth) * np.sinc(m / width)
         rows = np.einsum("w,hwc->hc", turned, picture) * area[:, None]
         for degree in range(m, order):
@@ -98,10 +98,10 @@ def filtered_by_harmonics(cube: NDArray, normals: NDArray, alpha: float, order: 
 
 
 def irradiance_nine(cube: NDArray) -> NDArray:
-    """(9, 3) coefficients of irradiance over pi as engines read it: of the real basis, in the order
-    1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2 with its usual constants, the clamped cosine multiplied in.
+    """(9, 3) coefficients of irradiance over pi in the real harmonics of degrees 0 to 2, as engines read them.
 
-    Sources: Ramamoorthi and Hanrahan 2001; Sloan 2008.
+    The order of the basis is 1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2, each with its constant of NINE_CONSTANTS. The
+    coefficients contain lambda of the clamped cosine. Sources: Ramamoorthi and Hanrahan 2001; Sloan 2008.
     """
     cube = resized(cube, min(_PROJECTION_SIZE, cube.shape[1]))
     n = cube.shape[1]
@@ -112,7 +112,7 @@ def irradiance_nine(cube: NDArray) -> NDArray:
 
 
 def nine_basis(direction: NDArray) -> NDArray:
-    """(..., 9) real spherical harmonics of degrees 0 to 2, in the order of ``irradiance_nine``."""
+    """(..., 9) real harmonics of degrees 0 to 2 in directions (..., 3), in the order of ``irradiance_nine``."""
     x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
     rows = [np.ones_like(x), y, z, x, x * y, y * z, 3.0 * z * z - 1.0, x * z, x * x - y * y]
     return np.stack(rows, axis=-1) * NINE_CONSTANTS

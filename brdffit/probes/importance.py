@@ -1,4 +1,4 @@
-"""Importance sampling with a level for each sample, as the paper compares with: Hammersley points, equation 4."""
+"""Filtered importance sampling, which Manson and Sloan 2016 compare with: Hammersley points, levels by equation 4."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from brdffit.probes.tables import Goal, layout_of
 
 
 def lobe_samples(count: int, alpha: float) -> NDArray:
-    """(at most count, 4) directions l in the frame of the normal and the solid angle each stands for.
+    """(at most count, 4) directions l in the frame of the normal, and the solid angle that each stands for.
 
-    Half vectors follow D at the Hammersley points; l is the mirrored normal; what falls below the horizon is left out.
-    The solid angle is 4 pi / (N D), as equation 4 has it. (By the density D/4 of l it would be 4 / (N D), a third:
-    small counts then err less and large ones more.)
+    Half vectors follow D at the Hammersley points, and l is the normal mirrored in them; directions below the horizon
+    are left out. The solid angle is 4 pi / (N D), as in equation 4. (The density D/4 of l would give 4 / (N D), a third
+    of it; small counts then err less and large ones more.)
     """
     k = np.arange(count)
     reversed_bits = np.zeros(count)
@@ -30,7 +30,7 @@ def lobe_samples(count: int, alpha: float) -> NDArray:
 
 
 def preimage_errors(goal: Goal, alpha: float, count: int) -> NDArray:
-    """(T,) L1 distance of the preimage from the exact one at the texels of a goal (Table 1)."""
+    """(T,) L1 between the preimage of ``count`` samples and the exact one, at the texels of a goal (Table 1)."""
     layout = layout_of()
     errors, flat = np.empty(len(goal.texels)), np.zeros(layout.offsets[-1])
     borders = tuple(tuple(each) for each in layout.borders)
@@ -43,7 +43,10 @@ def preimage_errors(goal: Goal, alpha: float, count: int) -> NDArray:
 def filtered_by_importance(
     cube: NDArray, sizes_and_alphas: list[tuple[int, float]], count: int, threads: int = 1
 ) -> list[NDArray]:
-    """Levels (6, n, n, 3) of a cube map (6, N, N, 3), N a power of two, with ``count`` samples a texel."""
+    """Levels (6, n, n, 3) float32, one for each (n, alpha), of a cube map (6, N, N, 3), N a power of two.
+
+    ``count`` is the number of samples a texel.
+    """
     layout = layout_of(cube.shape[1])
     borders = tuple(tuple(each) for each in layout.borders)
     pyramids = np.zeros((3, layout.offsets[-1]))

@@ -1,4 +1,4 @@
-"""A picture of a cube map's faces with letters on them: whether a file is turned or mirrored is seen at a glance."""
+"""Pictures of the faces of a cube map with their names on them, which show whether a file is turned or mirrored."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from brdffit.probes.cubemap import FACES, face_coordinates, face_points, look_up
 from brdffit.probes.picture import exposure_of, latlong_directions, toned
 from brdffit.probes.writing import latlong_of
 
-#: Texels along a face of the pictures, and of a test cube.
+#: Texels along a face, pixels between faces, and pixels of a line of text.
 _SIZE, _GAP, _TITLE = 128, 4, 18
 #: Cells (row, column) of the faces in a cross.
 _CELLS = ((1, 2), (1, 0), (0, 1), (2, 1), (1, 1), (1, 3))
-#: Over the right and over the upper edge of a face.
+#: Points (u, v) beyond the right and the upper edge of a face.
 _OVER = ((np.array(1.5), np.array(0.0)), (np.array(0.0), np.array(1.5)))
 _COLOURS = np.array(
     [[0.9, 0.25, 0.2], [0.45, 0.1, 0.1], [0.3, 0.8, 0.3], [0.1, 0.4, 0.15], [0.3, 0.45, 0.95], [0.12, 0.18, 0.5]]
@@ -25,9 +25,10 @@ _COLOURS = np.array(
 
 
 def lettered_cube(n: int = _SIZE) -> NDArray:
-    """(6, n, n, 3) float32: each face in a colour of its own with its name, to be read from within the world.
+    """(6, n, n, 3) float32: each face in its own colour with its name, legible for a viewer inside the cube.
 
-    In the files the letters are mirrored: with +Y up and -Z ahead +X is to the right, where the face -Z has its left.
+    Stored faces show the letters mirrored: a viewer who looks along -Z, +Y up, has +X on the right, where the stored
+    face -Z has its left edge.
     """
     font = ImageFont.load_default(n // 2)
     faces = []
@@ -44,7 +45,7 @@ def lettered_cube(n: int = _SIZE) -> NDArray:
 def lettered_latlong(height: int = _SIZE) -> NDArray:
     """(height, 2 height, 3) float32 lat-long picture of ``lettered_cube``, its middle column along -Z.
 
-    It is what to put through a tool, or through `brdffit probe`, to see which way its cube maps look.
+    Filtered by another tool, or by `brdffit probe`, it shows how that tool turns cube maps.
     """
     return latlong_of(lettered_cube(), height)
 
@@ -52,8 +53,13 @@ def lettered_latlong(height: int = _SIZE) -> NDArray:
 def draw_faces(cube: NDArray, path: Path, title: str) -> None:
     """Draw a cube map (6, n, n, 3) as a cross, each face with its name, and as a lat-long picture below.
 
-    A face stands as files hold it, u to the right and v up, which is its mirror image to who looks at it from within.
-    Beside a name stand the directions in which the face's right and upper edges lie.
+    Faces are drawn as files hold them, u to the right and v up: mirrored, compared with what a viewer inside the cube
+    sees. Each name is followed by the faces beyond its right and its upper edge.
+
+    Args:
+        cube: radiance of any size; it is drawn at 128 pixels a face.
+        path: the PNG file.
+        title: text at the top.
     """
     exposure, n = exposure_of(cube), _SIZE
     canvas = Image.new("RGB", (4 * (n + _GAP) + _GAP, 5 * n + 5 * _GAP + 2 * _TITLE), (24, 24, 24))

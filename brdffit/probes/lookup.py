@@ -1,9 +1,10 @@
-"""What an engine sees between levels and texels: its error against the exact lobe, and levels fitted to that look-up.
+"""Error of an engine's look-up against the exact lobe, and levels fitted to minimise it.
 
-A shader reads the levels trilinearly at a level of detail that hangs on roughness. Exact values at the texels are not
-what makes that read best: between two levels lies a mixture of two lobes, and few texels smear a narrow one. The fit
-moves the texels of all levels but the first so that trilinear reads at random directions and levels of detail come
-nearest the exact radiance, in the relative L1 of each roughness (least squares, reweighted), held near where they were.
+A shader reads the levels trilinearly at a level of detail that depends on roughness. Texels with exact values do not
+make that read most accurate: between two levels it mixes two lobes, and at a coarse level it widens a narrow one. The
+fit changes the texels of all levels but level 0 so that trilinear reads at random directions and levels of detail come
+closest to the exact radiance. It minimises the relative L1 error at each roughness by iteratively reweighted least
+squares, with a small penalty that keeps texels near their exact values.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from brdffit.probes.curves import Curve
 from brdffit.probes.tree import Tree, tau_for
 from brdffit.roughness import alpha_from_perceptual
 
-#: Roughness and directions of each that the error is measured on.
+#: Perceptual roughnesses at which the error is measured, and random directions for each.
 ROUGHNESSES = np.linspace(0.05, 1.0, 12)
 DIRECTIONS = 1500
-#: Error that the exact radiance may have itself.
+#: Tolerance of the tree that stands for the exact radiance.
 _EXACT = 0.001
-#: Levels of detail within an interval of levels, the share of texels that each looks at, and the fewest samples.
+#: Levels of detail sampled between two levels, share of the texels sampled at each, and the fewest samples.
 _PLACES, _SHARE, _FEWEST = 4, 0.5, 3000
 _REWEIGHTINGS, _STEPS, _HOLD = 4, 30, 0.02
 
@@ -36,7 +37,7 @@ def random_directions(count: int, seed: int) -> NDArray:
 def lookup_errors(
     tree: Tree, levels: list[NDArray], curve: Curve, threads: int = 1, count: int = DIRECTIONS
 ) -> NDArray:
-    """(12,) relative L1 of what a shader looks up at each of ROUGHNESSES, over random directions."""
+    """(12,) relative L1 error of a shader's look-up at each of ROUGHNESSES, over ``count`` random directions."""
     out = []
     for index, roughness in enumerate(ROUGHNESSES):
         at = random_directions(count, 100 + index)
@@ -49,14 +50,14 @@ def lookup_errors(
 def fitted_to_lookup(
     source: NDArray, levels: list[NDArray], curve: Curve, threads: int = 1
 ) -> tuple[list[NDArray], float, float]:
-    """Levels whose look-up is nearest the truth, and the mean error of the look-up before and after, held out.
+    """Levels fitted to the look-up, and the mean error of the look-up before and after, on directions of its own.
 
-    Where the fit does not help, the levels are those given.
+    Where the fit does not lower that error, the levels are returned unchanged.
 
     Args:
         source: (6, N, N, 3) cube map that the levels come from.
-        levels: exact at their texels, level 0 first, which is kept.
-        curve: the engine's.
+        levels: cube maps (6, n, n, 3), exact at their texels; level 0 is not changed.
+        curve: roughness curve of the engine.
         threads: workers.
     """
     tree = Tree(source)
@@ -65,7 +66,7 @@ def fitted_to_lookup(
     system = sparse.vstack(matrices).tocsr()
     goal, weight = np.concatenate(wanted), np.concatenate(weights)
     start = np.concatenate([level.reshape(-1, 3) for level in levels]).astype(np.float64)
-    # Columns of level 0 are known.
+    # Level 0 is not fitted: move its columns to the right-hand side.
     known = levels[0].shape[1] ** 2 * 6
     goal = goal - system[:, :known] @ start[:known]
     system, first = system[:, known:].tocsr(), start[known:]
@@ -80,7 +81,7 @@ def fitted_to_lookup(
 
 
 def _samples(tree: Tree, levels: list[NDArray], curve: Curve, threads: int) -> tuple[list, list, list]:
-    """Rows of trilinear weights over all texels of all levels, the exact radiance, and one over its sum."""
+    """Blocks of rows: trilinear weights over all texels of all levels, exact radiance, and the weight of each row."""
     sizes = [level.shape[1] for level in levels]
     matrices, wanted, weights = [], [], []
     for below in range(len(levels) - 1):
@@ -95,13 +96,13 @@ def _samples(tree: Tree, levels: list[NDArray], curve: Curve, threads: int) -> t
             blocks[below + 1] = share * _bilinear(at, sizes[below + 1])
             matrices.append(sparse.hstack(blocks))
             wanted.append(exact)
-            # Every roughness counts the same, however many directions it has.
+            # Relative error: every roughness counts the same, whatever its number of directions.
             weights.append(np.full(count, 1.0 / max(float(exact.sum()), 1e-30)))
     return matrices, wanted, weights
 
 
 def _jittered_directions(n: int, seed: int) -> NDArray:
-    """Directions in random texels of a level of n^2: no lamp is missed by all, as it is by directions from anywhere."""
+    """(k, 3) unit directions, jittered within evenly drawn texels of a level of n^2: few lamps are missed by chance."""
     rng = np.random.default_rng(seed)
     times = max(1, int(np.ceil(_FEWEST / (6 * n * n))))
     wanted = np.concatenate([rng.permutation(6 * n * n) for _ in range(times)])
@@ -128,7 +129,7 @@ def _bilinear(direction: NDArray, n: int) -> sparse.csr_matrix:
 
 
 def _padding(n: int) -> sparse.csr_matrix:
-    """(6 (n + 2)^2, 6 n^2) what fills the padded faces of a cube map."""
+    """(6 (n + 2)^2, 6 n^2) matrix from the texels of a cube map to its padded faces, see ``cubemap.pad``."""
     m, where = n + 2, border(n)
     face, j, i = np.meshgrid(np.arange(6), np.arange(n), np.arange(n), indexing="ij")
     inside = ((face * m + j + 1) * m + i + 1).ravel()
@@ -141,13 +142,16 @@ def _padding(n: int) -> sparse.csr_matrix:
 
 
 def _robust(system: sparse.csr_matrix, goal: NDArray, weight: NDArray, start: NDArray) -> NDArray:
-    """Minimise sum weight |system x - goal| near ``start``: conjugate gradients on reweighted normal equations."""
+    """Minimise sum weight |system x - goal| near ``start``: conjugate gradients on the reweighted normal equations.
+
+    The preconditioner is the diagonal of the system, which the penalty's weights ``hold`` are proportional to.
+    """
     x = start.copy()
     smallest = 1e-3 * float(np.average(np.abs(goal), weights=weight)) + 1e-30
     for _ in range(_REWEIGHTINGS):
         residual = goal - system @ x
         each = weight / np.maximum(np.abs(residual), smallest)
-        # A texel is held by a little of what its own samples weigh: those that few samples see stay.
+        # The penalty is a fraction of the weight of a texel's own samples; a texel without samples stays as it is.
         hold = _HOLD * np.asarray(system.multiply(system).T @ each).ravel() + 1e-9 * float(each.max())
         step = np.zeros_like(x)
         right = system.T @ (each * residual) + hold * (start - x)

@@ -1,4 +1,4 @@
-"""Rows of a picture shared out over threads; the kernels that draw them release the interpreter."""
+"""Share the rows of an image among threads; the kernels that fill them release the interpreter lock."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def default_threads() -> int:
 
 
 def over_rows(work: Callable[[int, int], None], rows: int, threads: int) -> None:
-    """Call ``work(first, last)`` for pieces that cover all rows; no result depends on how many threads there are."""
+    """Call ``work(first, last)`` for ranges that together cover all rows; the ranges must not depend on each other."""
     pieces = min(rows, 8 * threads) if threads > 1 else 1
     edges = [rows * k // pieces for k in range(pieces + 1)]
     if threads == 1:

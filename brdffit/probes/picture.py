@@ -1,4 +1,4 @@
-"""The picture of a probe: each level as it is, exact, and their difference; and spheres over roughness as drawn."""
+"""The picture of a probe: each level as stored, exact, and their difference; and reflecting spheres by roughness."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 _WIDTH, _GAP, _TITLE = 256, 8, 18
 _SPHERE, _SPHERES = 96, 8
-#: How much finer than the tolerance the exact column is: a tenth.
+#: Tolerance of the column "exact", over that of the probe.
 _FINER = 0.1
 
 
 def probe_picture(probe: Probe, path: Path, tolerance: float, threads: int) -> None:
-    """Draw a probe: rows are levels; columns what is stored, the same exact, and ten times the difference.
+    """Draw a probe as a PNG: one row a level, with the stored texels, exact ones, and ten times the difference.
 
-    "Exact" is the tree at a tenth of the tolerance, which the measured errors of the manifest hold against brute
-    force; below are mirroring spheres of rising roughness looked up as the engine does, above the same exact.
+    "Exact" is the tree at a tenth of the tolerance, at most 0.002; brute force would take too long. Below the levels
+    are two rows of reflecting spheres of rising roughness: looked up as the engine does, and exact.
     """
     tree = Tree(probe.source)
     at = latlong_directions(_WIDTH // 2)
@@ -37,7 +37,7 @@ def probe_picture(probe: Probe, path: Path, tolerance: float, threads: int) -> N
     for level in probe.levels[1:]:
         stored = look_up(level.radiance, at) / probe.scale
         n = level.request.n
-        # Exact at the stored texels and looked up alike: the difference is the filter's, not the look-up's.
+        # Both are looked up in the same way, so that the difference shows the filter and not the look-up.
         points = level.request.points
         exact = look_up(resized(tree.level(n * points, level.request.alpha, tau, threads), n), at)
         difference = np.abs(stored - exact)
@@ -63,19 +63,19 @@ def probe_picture(probe: Probe, path: Path, tolerance: float, threads: int) -> N
 
 
 def exposure_of(cube: NDArray) -> float:
-    """What brings an environment to mid grey: its bright quarter, or its mean where lamps give most of the light."""
+    """Factor that brings the upper quartile of a cube map, or 0.7 of its mean if that is larger (lamps), to 0.35."""
     grey = cube.mean(axis=-1)
     return 0.35 / max(float(np.percentile(grey, 75.0)), 0.7 * float(grey.mean()), 1e-6)
 
 
 def toned(radiance: NDArray, exposure: float) -> NDArray:
-    """(..., 3) uint8: Reinhard's curve and sRGB."""
+    """(..., 3) uint8 sRGB of linear radiance (..., 3), tone-mapped by Reinhard's curve."""
     x = np.maximum(radiance, 0.0) * exposure
     return (encode_srgb(np.minimum(1.2 * x / (1.0 + x), 1.0)) * 255.0 + 0.5).astype(np.uint8)
 
 
 def latlong_directions(height: int) -> NDArray:
-    """(height, 2 height, 3) directions of a lat-long picture, its middle column along -Z."""
+    """(height, 2 height, 3) unit directions of the pixels of a lat-long picture, its middle column along -Z."""
     polar = (np.arange(height) + 0.5) / height * np.pi
     azimuth = ((np.arange(2 * height) + 0.5) / height - 1.0) * np.pi
     level = np.sin(polar)[:, None]
@@ -84,7 +84,7 @@ def latlong_directions(height: int) -> NDArray:
 
 
 def _sphere_directions(size: int) -> tuple[NDArray, NDArray]:
-    """Reflected directions of a sphere seen from +Z without perspective, and where the sphere is."""
+    """Reflected directions (size, size, 3) of a sphere seen from +Z without perspective, and the mask of its disc."""
     across = (np.arange(size) + 0.5) / size * 2.0 - 1.0
     x, y = np.meshgrid(across, -across)
     square = x * x + y * y

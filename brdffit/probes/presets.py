@@ -1,4 +1,4 @@
-"""What engines load: container, format, roughness curve, size, levels, and the way they turn their look-ups."""
+"""What engines load: container, format, roughness curve, size, levels, and the axis that their look-ups mirror."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ class ProbePreset:
     Attributes:
         name, summary: as on the command line.
         container: "ktx2", "ktx1", "dds" or "exr" (one lat-long picture a level).
-        texel_format: a name of ``containers.FORMATS``; "float" for EXR.
+        texel_format: a name of ``containers.RADIANCE_FORMATS``; "float" for EXR.
         curve: a name of ``curves.CURVES``.
         size: texels along a face of level 0.
-        levels: how many.
-        mirror: axis whose look-ups the engine turns round ("x", "z" or ""); the stored cube is mirrored to match.
-        note: what a user of the engine has to know.
-        centre: where the engine's own tools let the middle of a lat-long picture look.
+        levels: how many, level 0 counted.
+        mirror: axis that the engine negates in its look-ups ("x", "z" or ""); the stored cube is mirrored to match.
+        note: a sentence for users of the engine, or "".
+        centre: direction of the middle of a lat-long picture in the engine's own tools, see ``reading.CENTRES``.
     """
 
     name: str
@@ -37,7 +37,7 @@ class ProbePreset:
 
     @property
     def turning(self) -> str:
-        """How the stored cube lies to the world, for captions."""
+        """Whether and how the stored cube is mirrored, for captions."""
         return f"{self.mirror} mirrored" if self.mirror else "not mirrored"
 
 
@@ -71,14 +71,14 @@ _ALL = (
 PRESETS = {preset.name: preset for preset in _ALL}
 
 
-#: Presets of materials that are for an engine of another name here; else the two have one name.
+#: Presets of ``brdffit bake`` whose probe preset has another name; all others have the same name.
 _OF_MATERIALS = {"gltf": "khronos"}
 
 
 def probe_of_materials(preset: str) -> dict[str, str] | None:
-    """What the manifest of a material says of its engine's reflection probes: preset, curve, and the shader's line.
+    """Preset, curve and shader's line of the probes of an engine, for the manifest of a material.
 
-    ``preset`` is one of ``brdffit bake``; None where no engine is meant that loads filtered probes.
+    ``preset`` is one of ``brdffit bake``; the result is None where its engine loads no filtered probes.
     """
     found = PRESETS.get(_OF_MATERIALS.get(preset, preset))
     if found is None or found.container == "exr":

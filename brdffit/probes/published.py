@@ -1,4 +1,4 @@
-"""What Manson and Sloan 2016 print in their tables 1 to 3: L1 errors of preimages (facts, to stand beside ours)."""
+"""L1 errors of preimages that Manson and Sloan 2016 print in their tables 1 to 3, for comparison with ours."""
 
 #: Table 1, mean of levels 1 to 6: (terms, taps a frame) and samples of importance sampling.
 TABLE_1 = {

@@ -1,7 +1,7 @@
-"""Environments in: lat-long pictures, crosses, strips, six faces, and cube maps in KTX2 or DDS, as one cube map.
+"""Read environments: lat-long pictures, crosses, strips, six faces, and cube maps in KTX2, KTX1 or DDS.
 
-Axes: +Y up. The middle column of a lat-long picture looks along -Z and a quarter to the right of it along +X, unless
-``centre`` says otherwise. Crosses and strips hold the faces as OpenGL looks them up.
+Axes: +Y up. The middle column of a lat-long picture looks along -Z and the column a quarter of the width further right
+along +X, unless ``centre`` says otherwise. Crosses and strips hold the faces as OpenGL looks them up.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from brdffit.probes.kernels.cube import average_equirect
 from brdffit.probes.parallel import over_rows
 
 LAYOUTS = ("latlong", "horizontal-cross", "vertical-cross", "strip", "column", "faces", "cube")
-#: Where a lat-long picture's middle column may look, (x, z).
+#: Directions (x, z) along which the middle column of a lat-long picture may look.
 CENTRES = {"-z": (0.0, -1.0), "+x": (1.0, 0.0), "+z": (0.0, 1.0), "-x": (-1.0, 0.0)}
 _FACE_NAMES = (
     ("px", "nx", "py", "ny", "pz", "nz"),
@@ -29,7 +29,7 @@ _FACE_NAMES = (
     ("right", "left", "up", "down", "front", "back"),
     ("x+", "x-", "y+", "y-", "z+", "z-"),
 )
-#: Cells (row, column) of +X -X +Y -Y +Z -Z; -Z of a vertical cross is upside down.
+#: Cells (row, column) of +X -X +Y -Y +Z -Z; in a vertical cross -Z is turned by 180 degrees.
 _CROSS = {
     "horizontal-cross": ((1, 2), (1, 0), (0, 1), (2, 1), (1, 1), (1, 3)),
     "vertical-cross": ((1, 2), (1, 0), (0, 1), (2, 1), (1, 1), (3, 1)),
@@ -49,7 +49,7 @@ class Surroundings:
         layout: one of LAYOUTS.
         pixels: (H, W, 3) of a lat-long picture, else a cube map (6, n, n, 3); float32, linear.
         on_border: whether the outer pixel centres of a lat-long picture lie on its border (OpenEXR's convention).
-        notes: what is to be said of it, sentences.
+        notes: sentences for the user.
     """
 
     path: Path
@@ -60,7 +60,7 @@ class Surroundings:
 
     @property
     def natural_size(self) -> int:
-        """Power of two of texels along a face that keeps what the picture resolves."""
+        """Texels along a face, rounded up to a power of two, at which a cube map resolves what the picture does."""
         texels = self.pixels.shape[1] / (4 if self.layout == "latlong" else 1)
         return 1 << max(int(np.ceil(np.log2(max(texels, 1.0)) - 1e-6)), 0)
 
@@ -69,9 +69,9 @@ def read_surroundings(path: str | Path, layout: str | None = None, clamp: bool =
     """Read an environment.
 
     Args:
-        path: a picture, a KTX2 or DDS cube map, a folder of six faces, or "procedural" or "letters", which ship.
-        layout: one of LAYOUTS; else guessed from the shape, and said in the notes.
-        clamp: bring negative values and such that are not finite to 0 and to the largest finite one.
+        path: a picture, a KTX2, KTX1 or DDS cube map, a folder of six faces, or "procedural" or "letters", which ship.
+        layout: one of LAYOUTS, for a picture; None guesses it from the shape. The notes tell it.
+        clamp: set negative values and NaN to 0 and infinite ones to the largest finite value, instead of refusing them.
 
     Raises:
         InputError: when it cannot be read, has no known layout, or holds values that are negative or not finite.
@@ -108,7 +108,15 @@ def read_surroundings(path: str | Path, layout: str | None = None, clamp: bool =
 
 
 def as_cube(surroundings: Surroundings, n: int, centre: str = "-z", degrees: float = 0.0, threads: int = 1) -> NDArray:
-    """The cube map (6, n, n, 3) float32 of an environment, by area; turned by ``degrees`` about +Y (from +X to -Z)."""
+    """The cube map (6, n, n, 3) float32 of an environment; each texel is a mean over its area.
+
+    Args:
+        surroundings: what was read.
+        n: texels along a face; a power of two, unless the environment is a cube map of this size already.
+        centre: a name of CENTRES, for lat-long pictures.
+        degrees: rotation about +Y, from +X towards -Z.
+        threads: workers.
+    """
     angle = np.radians(degrees)
     if surroundings.layout == "latlong":
         x, z = CENTRES[centre]
@@ -124,7 +132,7 @@ def as_cube(surroundings: Surroundings, n: int, centre: str = "-z", degrees: flo
     cube = surroundings.pixels
     if degrees % 360.0 == 0.0 and (cube.shape[1] & (cube.shape[1] - 1) == 0 or cube.shape[1] == n):
         return resized(cube, n)
-    # Looked up where each output texel came from, on a grid finer than both.
+    # Look up the source direction of each texel, on a grid finer than both cube maps.
     fine = n
     while fine < 2 * max(n, cube.shape[1]):
         fine *= 2
@@ -138,7 +146,7 @@ def as_cube(surroundings: Surroundings, n: int, centre: str = "-z", degrees: flo
 
 
 def reoriented(cube: NDArray, matrix: NDArray) -> NDArray:
-    """The cube map whose value along d is that of ``cube`` along ``matrix`` d, for axes that change places or signs."""
+    """The cube map whose value along d is that of ``cube`` along ``matrix`` d; ``matrix`` is a signed permutation."""
     n = cube.shape[1]
     face, u, v = face_coordinates(directions(n) @ np.asarray(matrix, np.float64).T)
     i = np.clip(np.floor((u + 1.0) * 0.5 * n).astype(int), 0, n - 1)
@@ -147,7 +155,7 @@ def reoriented(cube: NDArray, matrix: NDArray) -> NDArray:
 
 
 def _linear_picture(path: Path, notes: list[str]) -> NDArray:
-    """(H, W, 3) linear pixels; integer formats are decoded from sRGB and said to have little range."""
+    """(H, W, 3) linear pixels; integer formats are decoded from sRGB, and a note tells of their small range."""
     image = read_image(path)
     pixels = image.pixels[..., :3] if image.pixels.shape[2] >= 3 else image.pixels[..., :1].repeat(3, axis=2)
     if not image.is_float:
@@ -205,7 +213,7 @@ def _six_faces(folder: Path, notes: list[str]) -> NDArray:
 
 
 def is_built_in(path: Path) -> bool:
-    """Whether a path is no file but the name of an environment that ships."""
+    """Whether a path is the name of an environment that ships, and no file of that name exists."""
     return str(path) in ("procedural", "letters") and not path.exists()
 
 
@@ -234,7 +242,7 @@ def _checked(path: Path, pixels: NDArray, clamp: bool, notes: list[str]) -> NDAr
 
 
 def _repeats_its_border(pixels: NDArray) -> bool:
-    """Whether the last column is the first again, and that is no accident of a flat picture."""
+    """Whether the last column repeats the first, judged against the step between the first two columns."""
     first, last = pixels[:, 0], pixels[:, -1]
     step = float(np.abs(pixels[:, 0] - pixels[:, 1]).mean())
     return float(np.abs(first - last).mean()) < 0.05 * step

@@ -23,7 +23,7 @@ _WIDTH, _GAP, _TITLE = 224, 6, 18
 
 
 def draw_front(methods: list[dict[str, Any]], path: Path) -> None:
-    """Mean error over mean processor time of each method, on logarithmic axes."""
+    """Plot the mean error of each method over its mean processor time, on logarithmic axes, as a PNG."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -54,7 +54,7 @@ def draw_front(methods: list[dict[str, Any]], path: Path) -> None:
 
 
 def draw_histories(tables: Sequence[TableFile], path: Path) -> None:
-    """Best error on the searched texels over processor time, and the held-out error at the end, for each level."""
+    """Plot for each table and level the best error on searched texels over time, and the held-out error at the end."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -67,7 +67,7 @@ def draw_histories(tables: Sequence[TableFile], path: Path) -> None:
     for axes, table in zip(all_axes.flat, tables, strict=False):
         for level in sorted(table.histories):
             seconds, errors, steps = zip(*table.histories[level], strict=True)
-            # Errors after the search are on other texels: only those of one kind are compared.
+            # Later steps measure on other texels, so their errors are not comparable.
             searched = [k for k, step in enumerate(steps) if step.startswith(("start", "deepened"))]
             line = axes.step(
                 [seconds[k] for k in searched],
@@ -106,7 +106,7 @@ def draw_point_responses(path: Path) -> None:
     pictures = []
     for title, made, (_, at) in rows:
         peak = float(made[0][1].max())
-        # Around the texel, whatever face: a small view along its direction.
+        # A perspective view along the texel's direction shows the neighbouring faces too.
         u, v = (2 * at[1] + 1) / n - 1.0, 1.0 - (2 * at[0] + 1) / n
         view = _view(np.array([u, v, 1.0]), 0.7)
         pictures.append((title, [(name, toned(look_up(level, view) / peak, 2.0)) for name, level in made]))
@@ -114,7 +114,7 @@ def draw_point_responses(path: Path) -> None:
 
 
 def draw_levels(cube: NDArray, path: Path, threads: int) -> None:
-    """Levels 1, 3 and 5 by each method as lat-long pictures."""
+    """Draw levels 1, 3 and 5 of a cube map (6, 128, 128, 3) by each method, as lat-long pictures in one PNG."""
     at, exposure = latlong_directions(_WIDTH // 2), exposure_of(cube)
     rows = []
     for level in (1, 3, 5):
@@ -132,7 +132,7 @@ def _filtered(cube: NDArray, level: int, threads: int = 1) -> list[tuple[str, ND
 
 
 def _view(ahead: NDArray, reach: float) -> NDArray:
-    """(_WIDTH, _WIDTH, 3) directions around ``ahead``, to ``reach`` in the plane before it."""
+    """(_WIDTH, _WIDTH, 3) directions of a perspective view along ``ahead``, to ``reach`` on the plane at distance 1."""
     ahead = ahead / np.linalg.norm(ahead)
     right = np.cross([0.0, 1.0, 0.0], ahead)
     right /= np.linalg.norm(right)

@@ -1,8 +1,8 @@
-"""Seams: whether errors of a filtered level step more across the edges of a cube than just inside of them.
+"""Seams: whether errors of a filtered level change more across the edges of a cube than just inside of them.
 
-A ratio of one level of one environment says little: it hangs on whether the brightest lamp's largest error lies in the
-row at an edge (up to 2) or in the one behind (near 0). A seam is what is left of that when lamps lie anywhere, hence
-the environment is turned about random axes, and steps are summed over the turns.
+The ratio for one environment in one orientation says little: it depends on whether the largest error of the brightest
+lamp lies in the row at an edge (up to 2) or in the next one (near 0). So the environment is rotated at random, and the
+steps are summed over many orientations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from brdffit.probes.filtering import FilterOptions, LevelRequest, filter_levels
 
 
 def edge_steps(values: NDArray) -> tuple[float, float]:
-    """Sums of the steps (absolute differences) of a cube map (6, n, n) across its edges, and just inside of them."""
+    """Sums of absolute differences between neighbouring texels of (6, n, n): across the edges, and beside them."""
     padded, across, beside = pad(values), 0.0, 0.0
     for quarter in range(4):
         turned = np.rot90(padded, quarter, axes=(1, 2))[:, :, 1:-1]
@@ -31,13 +31,13 @@ def edge_steps(values: NDArray) -> tuple[float, float]:
 def seam_ratios(
     cube: NDArray, requests: Sequence[LevelRequest], options: FilterOptions, turns: int, seed: int = 0
 ) -> dict[int, float]:
-    """Steps of the relative error across edges over those beside them, for each level, summed over ``turns``.
+    """Steps of the relative error across edges over those beside them, by number of level; about 1 without seams.
 
     Args:
-        cube: (6, N, N, 3) environment; the first turn leaves it as it is.
-        requests: levels of one lobe a texel.
-        options: how they are filtered; they are not measured first.
-        turns: how many orientations.
+        cube: (6, N, N, 3) environment.
+        requests: levels with one lobe a texel (``points`` = 1).
+        options: how they are filtered, without measuring them.
+        turns: orientations that steps are summed over; the first is the environment as it stands.
         seed: of the orientations.
     """
     sums = {request.level: np.zeros(2) for request in requests}

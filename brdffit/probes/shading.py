@@ -1,4 +1,4 @@
-"""Light from a filtered probe, as engines shade: the split sum (Karis 2013; Lagarde and de Rousiers 2014, section 4.9).
+"""Shading by a filtered probe as engines do, by the split sum (Karis 2013; Lagarde and de Rousiers 2014, section 4.9).
 
     lobe:     T(n.v, r) K(R, lod(r))    R the view mirrored in the normal, K the levels read trilinearly, and
                                         T = specular A + rim B, (A, B) scale and bias of the DFG table
@@ -6,9 +6,9 @@
 
 E is irradiance over pi. The diffuse part of ``models.microfacet`` carries (1 - rim w(n.l)) as well, with Schlick's
 weight w(c) = (1 - c)^5, which E leaves out: its mean under the cosine takes its place, 2 integral (1 - c)^5 c dc =
-1/21. ``rim`` fades Fresnel's peak out where a surface reflects less than 2%. Under a uniform environment all of this is
-exact for isotropic GGX lobes above their own horizon. A probe knows nothing of the horizon of a textured plane, of
-azimuth, or of other lobes.
+1/21. ``rim`` fades out the rise of Fresnel's reflectance to 1 where a surface reflects less than 2%. Under a uniform
+environment the result is exact for isotropic GGX lobes above their own horizon. A probe ignores the horizon of a
+textured plane, anisotropy, and lobes other than GGX.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ _IRRADIANCE_SIZE, _LARGEST_SOURCE = 32, 1024
 
 @dataclass(frozen=True)
 class ProbeLight:
-    """What an engine holds of an environment.
+    """The probe of an environment as an engine holds it.
 
     Attributes:
         preset: name of the engine.
-        curve: the level that a roughness is looked up at.
+        curve: roughness curve of the engine.
         levels: (6, n, n, 3) filtered radiance, level 0 first, in world axes.
         irradiance: (6, 32, 32, 3) irradiance over pi.
         dfg: (64, 64, 2) scale and bias over roughness (rows) and n.v (columns), see ``split_sum.dfg_table``.
@@ -74,7 +74,7 @@ class ProbeLight:
     def reflected(
         self, normal: NDArray, view: NDArray, roughness: NDArray, specular: NDArray, diffuse: NDArray
     ) -> NDArray:
-        """Radiance (n, 3) float64 towards the viewer.
+        """(n, 3) float64 radiance towards the viewer; 0 where a normal faces away from it.
 
         Args:
             normal, view: (n, 3) unit vectors in world axes.
@@ -92,7 +92,7 @@ class ProbeLight:
         return np.where(cosine[:, None] > 0.0, lobe + matt, 0.0)
 
     def _scale_and_bias(self, cosine: NDArray, roughness: NDArray) -> NDArray:
-        """(n, 2) of the table, bilinear, clamped at its border as a texture is."""
+        """(n, 2) scale and bias, read bilinearly and clamped at the border of the table."""
         last = len(self.dfg) - 1
         y, x = (np.clip(each * (last + 1) - 0.5, 0.0, last) for each in (roughness, cosine))
         row, column = (np.minimum(each.astype(int), last - 1) for each in (y, x))

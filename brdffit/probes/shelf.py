@@ -1,4 +1,4 @@
-"""Many environments, one after another; and what a file or folder of ours holds, in lines."""
+"""Bake many environments one after another, and describe what a file or folder holds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SUFFIXES = (".hdr", ".exr", ".ktx2", ".ktx", ".dds", ".png", ".jpg", ".tif", ".
 
 
 def find_environments(path: Path) -> list[Path]:
-    """The environments that a path stands for: itself, or those below a folder that is no cube of six faces.
+    """The environments that a path stands for: itself, or those directly in a folder that is not itself six faces.
 
     Raises:
         InputError: when it does not exist or a folder holds none.
@@ -49,7 +49,10 @@ def bake_all(
     sources: Sequence[Path], output: Path, options: ProbeOptions, threads: int | None, force: bool,
     tell: Callable[[str], None],
 ) -> list[tuple[str, BrdffitError]]:  # fmt: skip
-    """Bake every environment to ``output``/name; returns what failed, by name. What is up to date is left."""
+    """Bake every environment to ``output``/name, except those that are up to date; returns (path, error) of failures.
+
+    ``force`` bakes all of them; ``tell`` is called with lines for the user.
+    """
     found = [each for source in sources for each in find_environments(source)]
     failed: list[tuple[str, BrdffitError]] = []
     taken: set[str] = set()
@@ -106,10 +109,10 @@ def _report(folder: Path, manifest: dict) -> list[str]:
 
 
 def draw_faces_of(path: Path, picture: Path) -> None:
-    """Draw the faces of a probe or a cube map file, or of the cube that an environment becomes, each with its name.
+    """Draw the faces, each with its name, of a folder of a probe, a cube map file, or an environment.
 
     Raises:
-        InputError: when it can be read as neither.
+        InputError: when it can be read as none of them.
     """
     if (path / "manifest.json").exists():
         path = path / json.loads((path / "manifest.json").read_text(encoding="utf-8"))["specular"]
@@ -119,10 +122,10 @@ def draw_faces_of(path: Path, picture: Path) -> None:
 
 
 def describe(path: Path) -> list[str]:
-    """What a file or folder holds, a line each.
+    """Lines that describe a folder of a probe, a cube map file, or an environment.
 
     Raises:
-        InputError: when it can be read as neither.
+        InputError: when it can be read as none of them.
     """
     if path.is_dir() and (path / "manifest.json").exists():
         manifest = json.loads((path / "manifest.json").read_text(encoding="utf-8"))

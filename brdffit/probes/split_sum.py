@@ -1,4 +1,4 @@
-"""The other half of the split sum: scale and bias of F0 over (n.v, roughness), and what the split itself errs by.
+"""The table of the split sum: scale and bias of F0 over (n.v, roughness), and the error of the split itself.
 
 For GGX with height-correlated Smith masking and Schlick's Fresnel (Karis 2013; Lagarde and de Rousiers 2014):
 (scale, bias) = E[(1 - F) W], E[F W] with F = (1 - v.h)^5 and W = 4 V (n.l) (v.h) / (n.h) over half vectors drawn from
@@ -16,11 +16,11 @@ _RADIAL, _AROUND = 96, 48
 
 
 def scale_and_bias(cosine: NDArray, alpha: float) -> NDArray:
-    """(..., 2) scale and bias at n.v = ``cosine`` (...), by Gauss points in the square of D's distribution."""
+    """(..., 2) scale and bias at n.v = ``cosine`` (...), by Gauss-Legendre points in the distribution function of D."""
     node, weight = np.polynomial.legendre.leggauss(_RADIAL)
     turn, share = np.polynomial.legendre.leggauss(_AROUND)
     u = 0.5 * (node + 1.0)
-    # Nodes gather at grazing half vectors, where masking bends.
+    # Nodes gather at grazing half vectors, where masking changes fastest.
     u, weight = 1.0 - (1.0 - u) ** 2, 0.5 * weight * 2.0 * (1.0 - u)
     azimuth, share = 0.5 * np.pi * (turn + 1.0), 0.5 * share
     cos_h = np.sqrt((1.0 - u) / (1.0 + (alpha * alpha - 1.0) * u))[:, None]
@@ -38,7 +38,7 @@ def scale_and_bias(cosine: NDArray, alpha: float) -> NDArray:
 
 
 def dfg_table(size: int = 64) -> NDArray:
-    """(size, size, 2) float32: columns n.v, rows perceptual roughness, both at (k + 1/2)/size, row 0 the smoothest."""
+    """(size, size, 2) float32 scale and bias: columns n.v, rows perceptual roughness, both at (k + 1/2)/size."""
     at = (np.arange(size) + 0.5) / size
     alphas = np.maximum(alpha_from_perceptual(at), 1e-4).tolist()
     return np.stack([scale_and_bias(at, alpha) for alpha in alphas]).astype(np.float32)
@@ -47,8 +47,12 @@ def dfg_table(size: int = 64) -> NDArray:
 def split_errors(cubes: list[NDArray], count: int, threads: int = 1) -> dict[str, list]:
     """Relative L1 of the split sum against the true integral, over ``count`` random viewers, for F0 = 1.
 
-    The truth is E[L(l) W] over half vectors drawn from D (n.h), each sample's radiance read from a pyramid of means at
-    the level of its solid angle; the split sum reads K around the mirrored direction, times E[W].
+    The truth is E[L(l) W] over half vectors drawn from D (n.h); the radiance of each sample is read from a box-filtered
+    pyramid at the level of its solid angle. The split sum is radiance filtered by K around the mirrored direction,
+    times E[W].
+
+    Returns:
+        "roughness" and "cosines" (n.v) that were measured, and "errors", a row for each roughness, averaged over cubes.
     """
     from brdffit.probes.cubemap import halved, look_up_trilinear, resized
     from brdffit.probes.lookup import random_directions

@@ -1,4 +1,4 @@
-"""The lamp that stands out of an environment, to be drawn as a light of its own."""
+"""Find the compact lamp that dominates an environment, which an engine should draw as a light of its own."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from brdffit.colour import LUMINANCE
 from brdffit.probes.cubemap import directions, mean_radiance, solid_angles
 
-#: Part of the largest luminance that still is the lamp, how far away in degrees, and the least share of energy.
+#: Least luminance of the lamp's texels over the largest, their largest distance from it in degrees, and the lamp's
+#: least share of the environment's energy.
 _PART, _REACH, _SHARE = 0.05, 6.0, 0.05
 
 
@@ -22,8 +23,8 @@ class Sun:
         direction: unit vector towards it.
         radiance: mean over its disc, RGB.
         irradiance: on a plane that faces it, RGB.
-        radius_degrees: of a disc of the same solid angle.
-        share: part of the environment's energy.
+        radius_degrees: angular radius of a disc of the same solid angle.
+        share: share of the environment's energy, by luminance.
     """
 
     direction: tuple[float, float, float]
@@ -46,7 +47,7 @@ def find_sun(cube: NDArray) -> Sun | None:
     whole = float(mean_radiance(cube) @ LUMINANCE) * 4.0 * np.pi
     share = float(flux @ LUMINANCE) / whole if whole > 0.0 else 0.0
     size = float(angle[chosen].sum())
-    # A wide sky is no lamp: what it takes of the sphere must be far less than what it gives.
+    # A bright sky is no lamp: the share of energy must be at least 20 times the share of the sphere.
     if share < _SHARE or share < 20.0 * size / (4.0 * np.pi):
         return None
     centre = (at[chosen] * (luminance * angle)[chosen, None]).sum(axis=0)

@@ -1,4 +1,4 @@
-"""Tables on disk: JSON with what they are for, how they were made and what each level errs by; made level by level."""
+"""Tables on disk: JSON with their purpose, their origin and the error of each level; and making them level by level."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from brdffit.probes.tables import BASE_SIZE
 _SHIPPED = Path(__file__).parent / "data"
 #: Levels of a table: 128^2 to 2^2, of which level 0 is copied.
 LEVELS = 7
-#: Size of the cube of irradiance that its table is for.
+#: Texels along a face of the irradiance cube that a table for irradiance fills.
 IRRADIANCE_SIZE = 16
 
 
@@ -29,14 +29,14 @@ class TableFile:
     """A table with its origin.
 
     Attributes:
-        name: as "ggx-const-8".
+        name: name of the file, as "ggx-const-8".
         curve: name of the roughness curve that it is valid for; "irradiance" for the clamped cosine.
         levels: table (5, terms, 3 taps) of each level; None where there is none.
-        sizes: texels along a face of each level with a table.
-        seconds: processor time that each level took to fit.
-        errors: mean L1 of the preimage on held-out texels, of each level with a table.
-        histories: (seconds, error on the searched texels, step) of each level, as the search went.
-        record: everything the file says besides.
+        sizes: texels along a face, by level.
+        errors: mean L1 of the preimage on held-out texels, by level.
+        seconds: processor seconds of the fit, by level.
+        histories: list of (seconds, error on the searched texels, step) of the search, by level.
+        record: all other entries of the file.
     """
 
     name: str
@@ -59,7 +59,7 @@ def load_table(name_or_path: str | Path) -> TableFile:
 
     Raises:
         UnknownNameError: when no table has that name.
-        InputError: when the file cannot be read or is none.
+        InputError: when the file cannot be read or holds no table.
     """
     path = Path(name_or_path)
     if path.suffix != ".json":
@@ -95,18 +95,18 @@ def make_table(
     output: Path, request: TableRequest, curve: str, command: str, begin_with: list[TableFile] | None = None,
     listener: Callable[[str], None] | None = None,
 ) -> TableFile:  # fmt: skip
-    """Fit the levels of a table, writing ``output`` after each; a file of the same request is gone on with.
+    """Fit the levels of a table and write ``output`` after each; a file of the same request is continued.
 
     Args:
         output: a .json file.
         request: taps, terms and effort.
         curve: a roughness curve for 7 levels, or "irradiance".
-        command: told in the file.
-        begin_with: tables with as many taps and as few or fewer terms, to start from besides.
-        listener: told of each step.
+        command: command line to record in the file.
+        begin_with: tables with as many taps and at most as many terms, used as additional starts.
+        listener: called with a line for each step.
 
     Raises:
-        InputError: when ``output`` holds another table.
+        InputError: when ``output`` holds the table of another request, or there is no such curve.
     """
     asked = {**asdict(request), "curve": curve, "base_size": BASE_SIZE}
     record = {**asked, "command": command, "versions": {n: version(n) for n in ("brdffit", "numpy", "scipy")}}
@@ -121,7 +121,7 @@ def make_table(
     else:
         alphas = get_curve(curve, LEVELS, BASE_SIZE).alphas()
         goals = {level: (BASE_SIZE >> level, alphas[level]) for level in range(1, LEVELS)}
-    # Small levels first: they take seconds and tell whether all is well.
+    # Small levels come first: they take seconds and show mistakes early.
     for level in sorted(goals, reverse=True):
         if any(each["level"] == level for each in done):
             continue

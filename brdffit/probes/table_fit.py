@@ -1,11 +1,11 @@
-"""Making a table: importance-sampled starts, an annealed L1, BFGS with adjoint gradients (Manson and Sloan 2016, s. 6).
+"""Optimise a table (Manson and Sloan 2016, section 6): sampled starts, annealed L1, L-BFGS with adjoint gradients.
 
-A level is searched in rounds. Many starts are optimised under ties on few texels with a wide smoothing; the better part
-goes on with narrower ones; the best two are polished on more texels, then freed of their ties and polished once more.
-The smoothing e of |d| ~ sqrt(d^2 + e^2) is a fraction of the energy-weighted mean of B. Everything follows from the
-seed; the error that is reported is measured on texels that no search looked at.
+A level is searched in rounds. Many starts are optimised under a symmetry (``table_symmetry``) on few texels with a wide
+smoothing; the best quarter continues with narrower ones; the best two are polished on more texels, then once more
+without the symmetry. The smoothing e of |d| ~ sqrt(d^2 + e^2) is a fraction of the energy-weighted mean of B. The seed
+decides everything. The error that is reported is measured on texels drawn by another seed, and on all of a small level.
 
-``paper=True`` does as the paper says instead: one importance-sampled start without ties, BFGS with gradients by
+``paper=True`` follows the paper instead: one importance-sampled start without symmetry, BFGS with gradients by
 differences and golden-section line searches, on the L1 itself.
 """
 
@@ -26,7 +26,7 @@ from brdffit.probes.tables import BASE_SIZE, TERMS, Goal, texels_of
 _SEARCH = ((0.1, 80), (0.03, 80))
 _DEEPEN = ((0.01, 120), (0.003, 120), (0.001, 150))
 _POLISH = ((0.001, 200), (0.0003, 250))
-#: Taps on average a texel, for each tap of a frame: 36 of 64 tiles of a face see two frames, 28 see three.
+#: Mean number of frames that a texel reads: on 36 of the 64 tiles of a face two frames overlap, on 28 three.
 _FRAMES = 39.0 / 16.0
 #: Texels that the reported error is measured on.
 HELD_OUT = 384
@@ -34,15 +34,15 @@ HELD_OUT = 384
 
 @dataclass(frozen=True)
 class TableRequest:
-    """What a table is asked for.
+    """Size of a table and effort of its search.
 
     Attributes:
         taps: trilinear reads of each frame.
-        terms: "const", "quadratic" or "quartic".
-        starts: importance-sampled starts of a level.
-        texels: how many a search looks at.
+        terms: polynomials of the parameters, "const", "quadratic" or "quartic".
+        starts: importance-sampled starts for each level.
+        texels: texels that a search minimises the error of.
         seed: of starts and texels.
-        paper: the paper's own optimiser.
+        paper: use the paper's own optimiser.
     """
 
     taps: int
@@ -55,13 +55,13 @@ class TableRequest:
 
 @dataclass
 class FittedLevel:
-    """A level of a table with what was measured.
+    """The table of one level and the record of its search.
 
     Attributes:
         table: (5, terms, 3 taps).
         error: mean L1 of the preimage on held-out texels.
         seconds: processor time.
-        history: (seconds, best error on the searched texels, what was done), as it went.
+        history: (seconds, error on the searched texels, name of the step) of each step.
     """
 
     table: NDArray
@@ -71,14 +71,15 @@ class FittedLevel:
 
 
 def importance_start(taps: int, count: int, alpha: float, rng: np.random.Generator) -> NDArray:
-    """(5, 1, count) taps drawn from D, stratified and jittered; ``taps`` of them a frame decide about their levels.
+    """(5, 1, count) taps drawn from D, stratified and jittered.
 
-    The direction l has the density D/4 for v = n, so that a sample of M stands for the solid angle 4 / (M D).
+    For v = n the direction l has the density D/4, so that each of M samples stands for the solid angle 4 / (M D), from
+    which its level follows. M is the mean number of taps of a texel when a frame has ``taps`` of them.
     """
     u = (np.arange(count) + rng.random(count)) / count
     turn = 2.0 * np.pi * (np.arange(count) * 0.6180339887 + rng.random())
     all_taps = _FRAMES * taps
-    # The half vector stays within 45 degrees, where l is above the horizon.
+    # Within 45 degrees of the half vector from the normal, l is above the horizon.
     top = 1.0 / (1.0 + alpha * alpha)
     u = u * top
     half = np.arctan(alpha * np.sqrt(u / (1.0 - u)))
@@ -93,18 +94,18 @@ def importance_start(taps: int, count: int, alpha: float, rng: np.random.Generat
 
 
 def chosen_texels(n: int, symmetry: str, count: int, seed: int) -> tuple[NDArray, NDArray]:
-    """At most ``count`` texels of a level of n^2, one an orbit of the symmetry, and their shares."""
+    """At most ``count`` texels (T, 3: face, u, v) of a level of n^2, one for each orbit, and their weights (T,)."""
     texels, share = orbits(texels_of(n), symmetry)
     if len(texels) > count:
         rng = np.random.default_rng([seed, n])
         pick = rng.choice(len(texels), count, replace=False, p=share / share.sum())
-        # Drawn in proportion to their orbits: each counts the same.
+        # They were drawn with probability proportional to their orbits, so their weights are equal.
         return np.ascontiguousarray(texels[pick]), np.ones(count)
     return np.ascontiguousarray(texels), share
 
 
 def held_out_goal(n: int, alpha: float) -> Goal:
-    """The texels that errors are reported on: all of a small level, else some that no search sees."""
+    """The texels that errors are reported on: all of a small level, else HELD_OUT of them, drawn by a fixed seed."""
     texels, _ = chosen_texels(n, "none", HELD_OUT, 987_654)
     return Goal.of(texels, alpha)
 
@@ -113,11 +114,11 @@ class LevelSearch:
     """The search for the table of one level.
 
     Args:
-        n: size of the level.
-        alpha: its roughness squared; 1 for irradiance.
-        request: taps, terms, effort.
-        starts_from: tables with fewer terms to start from besides, (5, fewer terms, 3 taps).
-        listener: told of each step in a line.
+        n: texels along a face of the level.
+        alpha: roughness alpha of its lobe; 1 for irradiance.
+        request: taps, terms and effort.
+        starts_from: additional starts, tables (5, at most as many terms, 3 taps).
+        listener: called with a line for each step.
     """
 
     def __init__(
@@ -132,7 +133,7 @@ class LevelSearch:
         self._best = np.inf
 
     def run(self) -> FittedLevel:
-        """Search, and measure on texels held out."""
+        """Search, and measure the result on held-out texels."""
         best = self._as_the_paper() if self._request.paper else self._search()
         seconds = time.process_time() - self._began
         error = held_out_goal(self._n, self._alpha).error(best)
@@ -140,7 +141,7 @@ class LevelSearch:
 
     def _search(self) -> NDArray:
         request = self._request
-        # Rough lobes are as well compared on a coarser base while searching: a quarter of the time.
+        # While searching, rough lobes are compared on a base of half the size, in a quarter of the time.
         base = 1 if self._n <= 16 else 0
         kinds = ["mirror", "axes"] if request.taps % 2 == 0 else ["axes"]
         found: list[tuple[float, str, NDArray]] = []
@@ -170,7 +171,7 @@ class LevelSearch:
                 self._note(goal, ends[-1], "none", f"polished {symmetry}")
             ends.append(self._optimise(goal, unfold(free, symmetry), "none", _POLISH))
             self._note(goal, ends[-1], "none", "freed")
-        # Chosen on texels of their own: a freed table may fit the searched ones only.
+        # Choose on other texels: without the symmetry a table may overfit those that were searched.
         judge = self._goal("none", 4 * request.texels, 0, seed=self._request.seed + 1)
         return min(ends, key=judge.error)
 
@@ -205,7 +206,7 @@ class LevelSearch:
         self._listener(f"{self._n}x{self._n}: {what}: {error:.4f}, best {self._best:.4f}, {seconds:.0f} s")
 
     def _as_the_paper(self) -> NDArray:
-        """BFGS with golden-section line searches and gradients by differences, from one importance-sampled start."""
+        """The paper's optimiser: BFGS, golden-section line searches, gradients by forward differences, one start."""
         rng = np.random.default_rng([self._request.seed, self._n])
         start = importance_start(self._request.taps, 3 * self._request.taps, self._alpha, rng)
         table = self._with_terms(start)

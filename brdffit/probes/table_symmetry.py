@@ -1,8 +1,8 @@
-"""Ties between the taps of a table, and the texels that remain to be looked at under them.
+"""Symmetries of a table: its free taps, and one texel for each orbit.
 
-A table whose three axes hold the same taps is carried into itself when the cube is turned so that positive axes change
-places; if the taps come in mirror pairs (x, -x) too, by every exchange of two axes. The error is then the same at all
-texels of an orbit, and one of each is enough. Fewer numbers also find better minima (see docs of the command).
+A table whose three axes hold the same taps is invariant under cyclic permutations of the axes of the cube. If the taps
+also come in mirror pairs (x, -x), it is invariant under every permutation of the axes. The error is then the same at
+all texels of an orbit, and measuring one of them is enough. A search over fewer numbers also finds better minima.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from brdffit.probes.cubemap import face_points
 
-#: From free to tied: no tie, the same taps for all axes, these in mirror pairs.
+#: No symmetry; the same taps for all axes; the same taps for all axes, in mirror pairs.
 SYMMETRIES = ("none", "axes", "mirror")
 
 
 def free_taps(symmetry: str, taps: int) -> int:
-    """How many taps are free for ``taps`` a frame."""
+    """Number of free taps of a table with ``taps`` taps a frame."""
     return {"none": 3 * taps, "axes": taps, "mirror": taps // 2}[symmetry]
 
 
 def unfold(free: NDArray, symmetry: str) -> NDArray:
-    """The whole table (5, terms, 3 N) of the free taps (5, terms, free)."""
+    """The table (5, terms, 3 N) that the free taps (5, terms, free) stand for."""
     if symmetry == "none":
         return free
     if symmetry == "mirror":
@@ -31,7 +31,7 @@ def unfold(free: NDArray, symmetry: str) -> NDArray:
 
 
 def fold(gradient: NDArray, symmetry: str) -> NDArray:
-    """The gradient by the free taps of one by the whole table: the transpose of ``unfold``."""
+    """The gradient with respect to the free taps, from that with respect to the table: the transpose of ``unfold``."""
     if symmetry == "none":
         return gradient
     count = gradient.shape[2] // 3
@@ -49,7 +49,7 @@ def _mirrored(table: NDArray) -> NDArray:
 
 
 def orbits(texels: NDArray, symmetry: str) -> tuple[NDArray, NDArray]:
-    """One texel (face, u, v) of each orbit under the symmetry, and how many texels each stands for."""
+    """One texel of each orbit of ``texels`` (T, 3: face, u, v) under the symmetry, and the size of its orbit."""
     if symmetry == "none":
         return texels, np.ones(len(texels))
     points = face_points(texels[:, 1], texels[:, 2])[texels[:, 0].astype(int), np.arange(len(texels))]

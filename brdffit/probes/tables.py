@@ -1,7 +1,8 @@
 """Tables of the second pass (Manson and Sloan 2016, sections 5 and 6): their error, and filtering with them.
 
-Their error is that of the preimage: integral over the sphere of |A - B|, both kernels of unit integral, as in the
-paper's tables 1 to 3. B is K at the texel centres of a base of 128^2 times the exact solid angles, brought to unit sum.
+The error of a table at a texel is that of the preimage, the integral over the sphere of |A - B| with both kernels of
+unit integral, as in the paper's tables 1 to 3. A is the kernel that the table reads. B is the exact one: K at the texel
+centres of a base of 128^2 times the solid angles, normalised to unit sum.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ TERMS = {"const": 1, "quadratic": 3, "quartic": 6}
 
 @lru_cache(maxsize=4)
 def layout_of(base_size: int = BASE_SIZE) -> Layout:
-    """The layout of the intermediate pyramid."""
+    """The layout of the intermediate pyramid over a base of ``base_size``^2, a power of two."""
     return Layout(base_size)
 
 
@@ -42,7 +43,7 @@ def texel_directions(texels: NDArray) -> NDArray:
 
 
 def wanted_preimages(texels: NDArray, alpha: float, n: int) -> NDArray:
-    """(T, 6 n^2) float32 exact weight of each texel of a base of n^2 in the filtered texels; rows sum to one.
+    """(T, 6 n^2) float32 exact weights of the texels of a base of n^2 in each filtered texel; rows sum to one.
 
     At alpha = 1 the lobe is the clamped cosine: irradiance.
     """
@@ -64,7 +65,7 @@ class Goal:
         texels: (T, 3) face, u, v.
         shares: (T,) weights that sum to one.
         wanted: (T, 6 n^2) exact preimages at level ``base`` of the pyramid.
-        base: level of the pyramid that preimages are compared at; 0 but for searches among rough levels.
+        base: level of the pyramid at which preimages are compared; 0, except in searches for rough levels.
     """
 
     texels: NDArray
@@ -74,7 +75,7 @@ class Goal:
 
     @classmethod
     def of(cls, texels: NDArray, alpha: float, shares: NDArray | None = None, base: int = 0) -> Goal:
-        """Preimages of the lobe of ``alpha`` at these texels."""
+        """Texels (T, 3) with the preimages of the lobe of ``alpha``; without ``shares`` all weigh the same."""
         shares = np.full(len(texels), 1.0) if shares is None else np.asarray(shares, np.float64)
         return cls(texels, shares / shares.sum(), wanted_preimages(texels, alpha, BASE_SIZE >> base), base)
 

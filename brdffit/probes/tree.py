@@ -1,4 +1,4 @@
-"""The default filter: a quadtree whose nodes are taken whole where a bound allows it (see kernels/tree.py)."""
+"""The default filter: a quadtree whose nodes are not opened where an error bound allows it (see kernels/tree.py)."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from brdffit.probes.kernels.tree import NODE_FIELDS, filter_by_tree
 from brdffit.probes.lobe import lobe, lobe_integral
 from brdffit.probes.parallel import over_rows
 
-#: The mean error is less than this times sqrt(tau) (five environments: 0.006 to 0.027); the bounds are far above.
+#: The mean error is less than this times sqrt(tau): 0.006 to 0.027 on five environments. The bounds are far larger.
 _ERROR_OF_TAU = 0.05
 #: Largest threshold: above it single texels of narrow lobes err by a tenth, which shows as a pattern.
 _LARGEST_TAU = 0.04
-#: tau of the first pass, which only finds out how bright the result is.
+#: tau of the first pass, which only estimates how bright the result is.
 _COARSE_TAU = 0.1
-#: alpha, in widths of a texel of the source, from which the sum of K over texels is its integral: in the plane K's
-#: spectrum falls as (1 + x) exp(-x) at x = 2 alpha times the frequency, and texels sample at 2 pi / width: 5e-4 here.
+#: Least alpha, in widths of a source texel (2/n), at which the sum of K over the texels equals its integral. In the
+#: plane the spectrum of K falls as (1 + x) exp(-x), x = 2 alpha times the frequency; at 0.8, aliasing from the sampling
+#: frequency 2 pi / width is 5e-4.
 _RESOLVED = 0.8
-#: Reach of the window within which the sum over texels is held against the integral, in texels.
+#: Radius in source texels of the window in which ``texel_sums`` compares the sum over texels with the integral.
 _WINDOW = 10.0
 
 
 def tau_for(tolerance: float) -> float:
-    """The threshold of a node for a wanted mean relative error."""
+    """Threshold tau of a node for a wanted mean relative error of a level."""
     return min((tolerance / _ERROR_OF_TAU) ** 2, _LARGEST_TAU)
 
 
@@ -37,7 +38,7 @@ class Tree:
     def __init__(self, cube: NDArray) -> None:
         n = cube.shape[1]
         self._mean = mean_radiance(cube)
-        # The roots are 2x2 a face; 8x8 where what they miss of a lobe cannot be known.
+        # Roots are 2x2 nodes a face; ``filtered`` starts at 8x8 where the sum of K over the texels is not known.
         self._top = max(int(np.log2(n)) - 1, 0)
         self._size = n
         self._nodes, self._offsets = _build(cube.astype(np.float64), self._top)
@@ -46,14 +47,16 @@ class Tree:
         self, normals: NDArray, alpha: float, tau: float, threads: int = 1, counts: NDArray | None = None,
         sums: NDArray | None = None,
     ) -> NDArray:  # fmt: skip
-        """(q, 3) float64 radiance around unit normals (q, 3).
+        """(q, 3) float64 filtered radiance around unit normals.
 
         Args:
-            normals, alpha: of the lobes.
-            tau: threshold of a node.
-            threads: workers.
-            counts: (q,) gets how many nodes were taken.
-            sums: (q,) sum of K times solid angle over the texels of the source, where that is not K's integral.
+            normals: (q, 3) unit vectors.
+            alpha: roughness alpha of the lobe.
+            tau: threshold of a node; 0 opens all of them.
+            threads: workers; no result depends on their number.
+            counts: (q,) int64, receives the number of nodes that were summed; None for no count.
+            sums: (q,) sums of K times solid angle over the texels of the source (``texel_sums``). None: they are taken
+                to be the integral of K if the texels resolve the lobe, else they are unknown.
         """
         normals = np.ascontiguousarray(normals, np.float64)
         counts = np.zeros(len(normals), np.int64) if counts is None else counts
@@ -77,7 +80,7 @@ class Tree:
         return one_pass(coarse, tau, True)[:, :3]
 
     def level(self, n: int, alpha: float, tau: float, threads: int = 1) -> NDArray:
-        """A whole level (6, n, n, 3) float32."""
+        """A level (6, n, n, 3) float32, filtered around its texel centres."""
         sums = None if alpha > _RESOLVED * 2.0 / self._size else texel_sums(self._size, n, alpha)
         filtered = self.filtered(directions(n).reshape(-1, 3), alpha, tau, threads, sums=sums)
         return filtered.reshape(6, n, n, 3).astype(np.float32)
@@ -85,11 +88,11 @@ class Tree:
 
 @lru_cache(maxsize=8)
 def texel_sums(source_n: int, n: int, alpha: float) -> NDArray:
-    """(6 n^2,) sum of K A over the texels of faces of ``source_n``^2, around each texel centre of faces of n^2.
+    """(6 n^2,) sums of K A (A the solid angle) over all texels of a source of ``source_n``^2, one a texel of n^2.
 
-    The sum differs from the integral of K where K is narrow, hence by what it does near its peak: with a window
-    w = (1 - d/D)^4 of d = 1 - n.l, which is 0 beyond ``_WINDOW`` texels, by sum(K A w) less the integral of K w. Texels
-    of a face that mirror each other, as do all faces, have the same sum.
+    The sum differs from the integral of K only where K is narrow, near its peak. With a window w = (1 - d/D)^4 of
+    d = 1 - n.l, which is 0 beyond ``_WINDOW`` texels, the difference is sum(K A w) - integral(K w). By symmetry, one
+    eighth of a face is enough.
     """
     reach = _WINDOW * 2.0 / source_n
     far = 0.5 * reach**2
@@ -101,7 +104,7 @@ def texel_sums(source_n: int, n: int, alpha: float) -> NDArray:
     owner, texel = np.repeat(np.arange(len(near)), [len(each) for each in near]), np.concatenate(near).astype(int)
     d = 0.5 * np.square(at[texel] - normals[owner]).sum(axis=1)
     inside = np.bincount(owner, lobe(d, alpha) * angle[texel] * np.maximum(1.0 - d / far, 0.0) ** 4, len(near))
-    # Solid angle is 2 pi dd; d = alpha^2 sinh^2(x) spreads the peak.
+    # The integral of K w: the solid angle is 2 pi dd, and d = alpha^2 sinh^2(x) resolves the peak.
     node, weight = np.polynomial.legendre.leggauss(200)
     x = 0.5 * (node + 1.0) * np.arcsinh(np.sqrt(far) / alpha)
     d = np.square(alpha * np.sinh(x))
@@ -116,11 +119,11 @@ def texel_sums(source_n: int, n: int, alpha: float) -> NDArray:
 
 
 def _build(cube: NDArray, top: int) -> tuple[NDArray, NDArray]:
-    """Nodes (all, NODE_FIELDS) float32 of levels 0 (texels) to ``top``, and where each level begins."""
+    """Nodes (all, NODE_FIELDS) float32 of levels 0 (texels) to ``top``, and the first node of each level."""
     n = cube.shape[1]
     area = np.broadcast_to(solid_angles(n)[None, :, :, None], (6, n, n, 1))
     radiance, square, centroid = cube, np.square(cube).sum(axis=-1, keepdims=True), directions(n)
-    # Sums over texels of radiance (all channels) and of radiance times direction; black ones count a little.
+    # Sums over texels of radiance (all channels) and of radiance times direction; 1e-30 avoids 0/0 on black texels.
     light = area * (cube.sum(axis=-1, keepdims=True) + 1e-30)
     moment = light * centroid
     levels = []

@@ -1,4 +1,4 @@
-"""The files of a probe: specular levels, irradiance, harmonics, and the table of the split sum."""
+"""Write the files of a probe: specular levels, irradiance, harmonics, and the table of the split sum."""
 
 from __future__ import annotations
 
@@ -29,11 +29,15 @@ def suffix_of(preset: ProbePreset) -> str:
 
 
 def write_probe(probe: Probe, folder: Path) -> list[str]:
-    """Write all files but the manifest and the picture; returns their names."""
+    """Write all files of a probe but the manifest and the pictures; returns the names of those to list.
+
+    Raises:
+        OutputError: when a cube map cannot be written.
+    """
     preset = probe.preset
     specular = [probe.stored(level.radiance) for level in probe.levels]
     irradiance = probe.stored(probe.irradiance.radiance)
-    # Harmonics of the stored cube: a mirrored axis turns the sign of what is odd in it.
+    # Harmonics belong to the stored cube: mirroring an axis negates those that are odd in it.
     odd = {"": [], "x": [3, 4, 7], "z": [2, 5, 7]}[preset.mirror]
     nine = probe.nine.copy()
     nine[odd] *= -1.0
@@ -48,7 +52,7 @@ def write_probe(probe: Probe, folder: Path) -> list[str]:
         suffix = suffix_of(preset)
         for name, levels in (("specular", specular), ("irradiance", [irradiance])):
             files.append(name + suffix)
-            # Filament's shader holds no constants: they are in its file.
+            # Filament's shader does not apply the constants of the basis, so its file contains them.
             rows = nine * NINE_CONSTANTS[:, None] if preset.container == "ktx1" else nine
             text = "\n".join(" ".join(f"{value:.7g}" for value in row) for row in rows) + "\n"
             pairs = {"KTXwriter": "brdffit", "sh": text}
@@ -77,7 +81,7 @@ def _dfg() -> NDArray:
 
 
 def latlong_of(cube: NDArray, height: int) -> NDArray:
-    """(height, 2 height, 3) lat-long picture of a cube map, its middle column along -Z; averaged over 2x2 points."""
+    """(height, 2 height, 3) float32 lat-long picture of a cube map, middle column along -Z, of 2x2 points a pixel."""
     fine = 2 * height
     polar = (np.arange(fine) + 0.5) / fine * np.pi
     azimuth = ((np.arange(2 * fine) + 0.5) / fine - 1.0) * np.pi
@@ -92,7 +96,7 @@ def _write_latlong(path: Path, cube: NDArray) -> None:
 
 
 def _write_chain(path: Path, picture: NDArray, names: tuple[str, ...]) -> None:
-    """An EXR file with the coarser levels that its format asks for, plain means."""
+    """A MIP-mapped EXR file; its coarser levels are plain means."""
     levels = [picture]
     while levels[-1].shape[:2] != (1, 1):
         height, width = levels[-1].shape[:2]
