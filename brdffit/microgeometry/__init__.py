@@ -1,6 +1,6 @@
-"""A height map as geometry: parallax, masking, shadows and interreflection, traced; what no map can show.
+"""A height map traced as geometry: parallax, masking, shadows and interreflection, which no map of lobes can show.
 
-``heightfield`` says what surface a material with a height map is, ``kernels.traversal`` where rays meet it and
-``kernels.paths`` what they see there; ``tracer`` makes of it a truth that pictures are compared with, and a source of
-queries (``queries``) that a neural material is trained on.
+``heightfield`` defines the surface, ``kernels.traversal`` intersects it with rays and ``kernels.paths`` follows light
+on it. ``tracer`` makes it a truth that pictures are compared with, and a source of queries (``queries``) that a neural
+material is trained on.
 """

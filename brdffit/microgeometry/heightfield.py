@@ -1,20 +1,19 @@
-"""The surface that a material with a height map is.
+"""The surface of a material with a height map.
 
-The height is the geometry: a mesh of two triangles between four texel centres, in texels, periodic. The colours, the
-roughness and the normal stand in textures on it, read at (column, row) of the point and interpolated as the reference
-of maps interpolates them.
+The geometry is the height: a periodic mesh with a vertex at each texel centre and two triangles between four of them,
+all lengths in texels. Colours, roughness and normals are textures on it, read at (column, row) of a point and
+interpolated as the reference for maps interpolates them.
 
-Which way a point faces for its BRDF, its shading normal, is a normal of maps too, and decided once, here. A normal map
-that comes with a height map mostly repeats its slopes and adds what is finer; then it is the whole normal, as it is for
-a renderer of maps. With all effects off such a surface is exactly the map's SVBRDF, so that every difference is one of
-the effects. Only where its slopes do not go along with those of the height (a correlation below ``REPEATS``) is it a
-detail of its own that stands on the height: slopes add. With m_h the slopes of the height as given, m those of the map
-and a the amplitude that is asked for,
+The shading normal, which the BRDF uses, comes from maps too. A normal map that accompanies a height map usually repeats
+its slopes and adds finer ones; it is then the whole shading normal, as for a renderer of maps. With all effects off,
+such a surface is exactly the SVBRDF of the maps, so every difference is due to an effect. Where the correlation of the
+two slopes is below ``REPEATS``, the normal map is taken for a separate detail on top of the height, and slopes add.
+With m_h the slopes of the height as given, m those of the map and a the amplitude that is asked for,
 
     m_shading = m + (a - 1) m_h    if the map repeats the height,        m + a m_h    if it does not.
 
-``shading="geometry"`` takes the normals of the triangles instead: then nothing is gained or lost between bounces,
-which is what a furnace needs and what other programs draw of a mesh.
+``shading="geometry"`` takes the normals of the triangles instead. Then bounces conserve energy, as a white-furnace test
+needs, and the result is what other programs render of the mesh.
 """
 
 from __future__ import annotations
@@ -30,9 +29,9 @@ from brdffit.render._packing import Packed, pack_base
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.encoding import height_gradient, normals_from_gradient, slopes_of_normals
 
-#: Correlation of slopes from which a normal map repeats its height map.
+#: Least correlation of slopes at which a normal map counts as repeating its height map.
 REPEATS = 0.5
-#: What stands in memory for each texel while a surface is made and traced: maps, packed texels, pyramid.
+#: Bytes of memory for each texel while a surface is made and traced: maps, packed texels, pyramid.
 BYTES_PER_TEXEL = 64 + 4 * 12 + 8 + 8 + 24
 SHADINGS = ("map", "geometry")
 
@@ -42,12 +41,12 @@ class HeightField:
     """A traced surface.
 
     Attributes:
-        height: (H, W) float32 in texels; vertices of the mesh.
-        maxima, levels: the maximum pyramid, see ``kernels.traversal``.
+        height: (H, W) float32 heights of the vertices, in texels.
+        maxima, levels: the maximum pyramid, see ``maximum_pyramid`` and ``kernels.traversal``.
         packed: the other maps, see ``render._packing``.
-        reference: height of the plane on which positions are counted: the mean height, so that a shift by parallax is
-            none in the mean.
-        shading: "map" or "geometry", see above.
+        reference: height, in texels, of the plane on which positions are given. It is the mean height, so that the
+            parallax is zero on average.
+        shading: "map" or "geometry", see the module.
         notes: sentences for the user.
     """
 
@@ -65,6 +64,7 @@ class HeightField:
 
         Raises:
             InputError: when there is no height map, a number is not finite, or memory does not suffice.
+            ValueError: for another ``shading`` than "map" or "geometry".
         """
         if svbrdf.height is None:
             raise InputError(
@@ -93,14 +93,16 @@ class HeightField:
 
     @property
     def span(self) -> float:
-        """From the lowest to the highest point, in texels."""
+        """Height of the highest point over the lowest, in texels."""
         return float(np.ptp(self.height))
 
 
 def maximum_pyramid(height: NDArray) -> tuple[NDArray, NDArray]:
-    """(maxima, levels) of the cells of a periodic height (H, W): flat float32, and (L, 3) int64 begin, rows, columns.
+    """(maxima, levels): the largest height in each cell of a periodic height map (H, W), on all levels.
 
-    A cell (j, i) lies between vertices (j, i) and (j + 1, i + 1).
+    Cell (j, i) of the finest level lies between vertices (j, i) and (j + 1, i + 1); coarser cells hold 2x2 finer ones.
+    ``maxima`` is flat, in the type of the height; ``levels`` is (L, 3) int64: first index, rows and columns of each
+    level.
     """
     across = np.maximum(height, np.roll(height, -1, axis=1))
     level = np.maximum(across, np.roll(across, -1, axis=0))
@@ -116,10 +118,10 @@ def maximum_pyramid(height: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def check_memory(size: tuple[int, int], bytes_per_texel: int = BYTES_PER_TEXEL) -> None:
-    """Refuse a surface that memory does not hold, before anything is made.
+    """Refuse a surface of ``size`` (height, width) texels that does not fit into free memory, before it is made.
 
     Raises:
-        InputError: with what is needed and what is free.
+        InputError: tells how much memory is needed and how much is free.
     """
     needed, free = size[0] * size[1] * bytes_per_texel, _free_memory()
     if needed > free:
@@ -137,7 +139,7 @@ def _free_memory() -> int:
 
 
 def _repeats(svbrdf: Svbrdf) -> bool:
-    """Whether the normal map repeats the height's slopes: the correlation of both slopes together."""
+    """Whether the slopes of the normal map correlate with those of the height by at least ``REPEATS``."""
     assert svbrdf.height is not None
     of_map = slopes_of_normals(svbrdf.normal).astype(np.float64)
     of_height = height_gradient(svbrdf.height, "tile").astype(np.float64)
@@ -146,7 +148,7 @@ def _repeats(svbrdf: Svbrdf) -> bool:
 
 
 def _shading_normals(svbrdf: Svbrdf, amplitude: float, notes: list[str]) -> NDArray:
-    """Unit normals (H, W, 3) float32 from the slopes of the map and of the height, see above."""
+    """Unit shading normals (H, W, 3) float32 from the slopes of the map and of the height, see the module."""
     assert svbrdf.height is not None
     share = amplitude
     if _repeats(svbrdf):

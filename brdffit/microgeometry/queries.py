@@ -1,7 +1,8 @@
-"""Multi-scale BTF queries M(u, sigma, l, v) (Kuznetsov et al. 2021, equation 1): what a neural material learns from.
+"""Queries of a multi-scale BTF M(u, sigma, l, v) (Kuznetsov et al. 2021, equation 1), the training data of a neural
+material.
 
-M is the radiance that leaves a material towards the viewer v, averaged under a Gaussian of standard deviation sigma
-about u on the reference plane, where the light from l gives that plane an irradiance of 1.
+M is the radiance that leaves a material towards the viewer v, averaged with a Gaussian of standard deviation sigma
+around u on the reference plane, when light from l gives that plane an irradiance of 1.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from brdffit.errors import InputError
 
 @runtime_checkable
 class QuerySource(Protocol):
-    """Whatever answers queries of one material that repeats."""
+    """A source that answers queries of one periodic material."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -29,22 +30,22 @@ class QuerySource(Protocol):
         """(n, 3) float32, unbiased estimates of M, one sample each.
 
         Args:
-            position: (n, 2) float, (column, row) in texels of the base; texel i is centred on i + 1/2.
-            sigma: (n,) standard deviation of the Gaussian, in texels of the base.
-            light, view: (n, 3) unit vectors in tangent space (z up, +Y up in the picture).
-            seed: two seeds are independent.
+            position: (n, 2) float, (column, row) in texels of the tile; texel i is centred on i + 1/2.
+            sigma: (n,) standard deviation of the Gaussian, in texels of the tile.
+            light, view: (n, 3) unit vectors in tangent space (z along the normal of the plane, +Y up in the picture).
+            seed: different seeds give independent estimates.
         """
         ...
 
 
 class Queries(NamedTuple):
-    """Measured queries of one material: what a goniometer, or another program, says of it.
+    """Measured queries of one material, from a goniometer or from another program.
 
     Attributes:
         position: (n, 2) float32, (column, row) in texels of the tile.
         sigma: (n,) float32, standard deviation of the Gaussian in texels.
         light, view: (n, 3) float32 unit vectors in tangent space, above the plane.
-        value: (n, 3) float32, M as above.
+        value: (n, 3) float32, M as the module defines it.
         size: (height, width) of the tile in texels.
     """
 
@@ -60,17 +61,17 @@ _WIDTHS = {"position": (2,), "sigma": (), "light": (3,), "view": (3,), "value": 
 
 
 def write_queries(path: str | Path, queries: Queries) -> None:
-    """An .npz of the arrays of ``Queries`` by their names."""
+    """Write an .npz that holds each field of ``Queries`` as an array of that name."""
     arrays: dict[str, Any] = {name: np.asarray(array) for name, array in queries._asdict().items()}
     np.savez_compressed(path, **arrays)
 
 
 def read_queries(path: str | Path) -> Queries:
-    """Queries of an .npz with the arrays of ``Queries`` by their names.
+    """Queries from an .npz that ``write_queries`` wrote, or another program with the same arrays.
 
     Raises:
-        InputError: when the file cannot be read, an array is missing or of another shape, or its numbers are none of
-            directions above the plane.
+        InputError: when the file cannot be read, an array is missing or has another shape, a number is not finite, or a
+            direction has not unit length or points below the plane.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

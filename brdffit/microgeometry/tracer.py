@@ -17,19 +17,19 @@ from brdffit.render._packing import shading_kernels
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
 
-#: Samples of one piece of work.
+#: Samples that one call of the kernel traces.
 _PIECE = 8192
 
 
 @dataclass(frozen=True)
 class Effects:
-    """What is traced; what is off costs nothing.
+    """Effects that are traced; those that are off cost no time.
 
     Attributes:
-        displacement: the point seen is where the ray meets the surface, with parallax and masking; off: the point of
-            the surface at the position on the plane.
-        shadowing: a point that the surface hides from the light is dark.
-        bounces: how often light may go from the surface to itself.
+        displacement: the visible point is where the viewer's ray meets the surface, which gives parallax and masking;
+            otherwise it is the point of the surface above or below the position on the plane.
+        shadowing: a point that the surface hides from the light gets none of it.
+        bounces: how often light may be reflected from the surface to itself, at most.
     """
 
     displacement: bool = True
@@ -37,15 +37,16 @@ class Effects:
     bounces: int = 0
 
 
-#: With none of them a surface reflects what its maps do.
+#: Without effects a surface reflects as its maps do.
 NO_EFFECTS = Effects(False, False, 0)
 
 
 class Microgeometry:
-    """A material whose height map is its surface: a ``Truth``, and a ``QuerySource``.
+    """A material whose height map is traced as its surface: a ``Truth``, and a ``QuerySource``.
 
-    A position (column, row) is a point u of the reference plane, at the mean height; what is seen there is what the
-    viewer's ray through u meets. Estimates are of one sample, unbiased, and the same for any number of threads.
+    A position (column, row) is a point u of the reference plane at the mean height; the visible point is where the
+    viewer's ray through u meets the surface. Every estimate is unbiased and takes one sample; it does not depend on the
+    number of threads.
     """
 
     def __init__(
@@ -57,11 +58,13 @@ class Microgeometry:
         terms: Terms = Terms(),  # noqa: B008
         threads: int | None = None,
     ):
-        """Trace ``field`` with some effects.
+        """Set up the tracer.
 
         Args:
-            light_size: angular diameter of the lights in degrees; a disc of even radiance, 0 a point.
-            terms: terms of the BRDF.
+            field: the surface.
+            effects: effects to trace.
+            light_size: angular diameter in degrees of the light, a disc of uniform radiance; 0 for a point.
+            terms: terms of the BRDF to apply.
             threads: worker threads; None takes one a core.
         """
         self.field = field
@@ -72,7 +75,7 @@ class Microgeometry:
 
     @classmethod
     def of(cls, svbrdf: Svbrdf, effects: Effects = Effects(), **options: Any) -> Microgeometry:
-        """That of a material with a height map; see ``HeightField.of`` for what is refused."""
+        """The tracer of a material with a height map; raises as ``HeightField.of``."""
         return cls(HeightField.of(svbrdf), effects, **options)
 
     @property
@@ -86,13 +89,13 @@ class Microgeometry:
         return self.field.notes
 
     def reflect(self, position: NDArray, view: NDArray, light: NDArray, seed: int) -> NDArray:
-        """See ``brdffit.appearance.Truth``: (n, 3) float32, the BRDF times the cosine, seen through the plane."""
+        """See ``brdffit.appearance.Truth``: (n, 3) float32, the BRDF times the cosine, for positions on the plane."""
         return self._trace(position, np.zeros(len(position)), light, view, seed)
 
     def query(self, position: NDArray, sigma: NDArray, light: NDArray, view: NDArray, seed: int) -> NDArray:
         """See ``queries.QuerySource``."""
         found = self._trace(position, sigma, light, view, seed)
-        # Irradiance 1 on the plane.
+        # M is defined for an irradiance of 1 on the plane.
         return found / np.maximum(np.asarray(light, np.float32)[:, 2:], np.float32(1e-4))
 
     def _trace(self, position: NDArray, sigma: NDArray, light: NDArray, view: NDArray, seed: int) -> NDArray:

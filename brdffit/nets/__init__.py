@@ -1,1 +1,1 @@
-"""Small networks in numpy and Numba: layers forward and backward, Adam, weights on disk; knows nothing of materials."""
+"""Small networks in numpy and Numba: layers, gradients, Adam, training, files of weights; independent of materials."""

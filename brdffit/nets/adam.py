@@ -1,4 +1,4 @@
-"""Adam (Kingma and Ba 2015), one kernel over a flat vector of weights."""
+"""Adam (Kingma and Ba 2015) for a flat vector of weights, as one kernel."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _step(weights, gradient, mean, square, rate, beta1, beta2, epsilon):
 
 
 class Adam:
-    """State of the optimiser of a vector of ``size`` weights.
+    """State of the optimiser for a vector of ``size`` weights.
 
     With moments m and v of the gradient, a step subtracts rate * m' / (sqrt(v') + epsilon), m' = m / (1 - beta1^t) and
     v' = v / (1 - beta2^t); the corrections are folded into rate and epsilon.

@@ -1,4 +1,4 @@
-"""What commands that train share: their options, the checks of these, and a bar while the training runs."""
+"""Shared by the commands that train: options, their checks, and a progress bar."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import click
 
 
 def training_options(output: str, minutes: str, seed: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Output, minutes or steps, seed and resume.
+    """A decorator that adds the options for output, minutes or steps, seed and resume.
 
     Args:
-        output, minutes: defaults.
-        seed: what it is of.
+        output: default of --output.
+        minutes: default of --minutes, as the help shows it.
+        seed: help text of --seed.
     """
 
     def add(command: Callable[..., None]) -> Callable[..., None]:
@@ -34,7 +35,7 @@ def training_options(output: str, minutes: str, seed: str) -> Callable[[Callable
 
 
 def check_training(output: Path, minutes: float | None, steps: int | None) -> None:
-    """See, before the work, that a training was asked for rightly.
+    """Check the options of a training before it begins.
 
     Raises:
         click.UsageError: when minutes and steps are both given.
@@ -49,7 +50,10 @@ def check_training(output: Path, minutes: float | None, steps: int | None) -> No
 
 
 def train_with_bar(task: Any, output: Path, minutes: float | None, steps: int | None, **named: Any) -> None:
-    """Train a ``nets.training.Task`` with a bar, its loss, and a line for each figure on what is held out."""
+    """Train a ``nets.training.Task`` with a progress bar, and print a line for each held-out figure.
+
+    ``named`` are further arguments of ``nets.training.train``, which also says what is raised.
+    """
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from brdffit.nets.training import train

@@ -1,4 +1,4 @@
-"""Convolution of images in blocks of 16 channels, forward and backward; a dense layer is the case of 1x1.
+"""Convolution of images in blocks of 16 channels, forward and backward; a dense layer is a 1x1 convolution.
 
 An image of C channels is stored as (ceil(C / 16), height + 2 m, width + 2 m, 16) float32, flat, with a margin m of
 zeros (m >= r for filters of side 2 r + 1); the width is a multiple of ``PIXELS``. Weights are stored as
@@ -7,7 +7,7 @@ zeros (m >= r for filters of side 2 r + 1); the width is a multiple of ``PIXELS`
     y[p, o] = f(bias[o] + sum_{d, c} x[p + d, c] w[o, d, c]),     f(z) = z, or slope * z where z < 0.
 
 Backward, with g = dL/dz: dL/dx[p, c] = sum_{d, o} w[o, d, c] g[p - d, o],  dL/dw[o, d, c] = sum_p x[p + d, c] g[p, o].
-The margin stays zero everywhere, so that sums over the interior are all there is.
+The margin of every array stays zero, so all sums run over the interior.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ _TILE = PIXELS * LANES
 
 @kernel
 def convolve(x, weights, bias, y, y_at, height, width, margin, ins, outs, reach, slope):
-    """The blocks of y from flat index ``y_at`` on, from the first ``ins`` blocks of x (y may be x, further on)."""
+    """Write ``outs`` blocks of y from flat index ``y_at`` on, from the first ``ins`` blocks of x.
+
+    x and y may be one array if the blocks do not overlap.
+    """
     pitch, side = width + 2 * margin, 2 * reach + 1
     plane = (height + 2 * margin) * pitch
     for o in range(outs):
@@ -58,9 +61,9 @@ def convolve(x, weights, bias, y, y_at, height, width, margin, ins, outs, reach,
 
 @kernel
 def convolve_back(dy, dy_at, transposed, dx, height, width, margin, ins, outs, reach):
-    """Add dL/dx to the first ``ins`` blocks of dx, from dL/dz at dy[dy_at:] (dy may be dx, further on).
+    """Add dL/dx to the first ``ins`` blocks of dx, from dL/dz at dy[dy_at:].
 
-    ``transposed``: the weights with each 16 x 16 block transposed, of ``transposed_weights``.
+    dx and dy may be one array if the blocks do not overlap. ``transposed`` is from ``transposed_weights``.
     """
     pitch, side, one = width + 2 * margin, 2 * reach + 1, np.float32(1.0)
     plane = (height + 2 * margin) * pitch
@@ -108,7 +111,7 @@ def weigh_back(dy, dy_at, x, d_weights, d_bias, height, width, margin, ins, outs
 
 @kernel
 def rectify_back(y, y_at, dy, dy_at, size, slope):
-    """dL/dz from dL/dy, in place, ``size`` numbers of both: times ``slope`` where y is not positive."""
+    """Turn ``size`` numbers of dL/dy into dL/dz, in place: multiply by ``slope`` where y is not positive."""
     for i in range(0, size, LANES):
         store(dy, dy_at + i, leak(load(dy, dy_at + i), load(y, y_at + i), slope))
 
@@ -119,7 +122,7 @@ def transposed_weights(weights: np.ndarray) -> np.ndarray:
 
 
 def to_blocks(image: np.ndarray, margin: int) -> np.ndarray:
-    """An image (H, W, C) as flat blocks with a margin of zeros; missing channels are 0."""
+    """An image (H, W, C) as flat blocks with a margin of zeros; channels that pad the last block are 0."""
     height, width, channels = image.shape
     blocks = -(-channels // LANES)
     out = np.zeros((blocks, height + 2 * margin, width + 2 * margin, LANES), np.float32)

@@ -1,9 +1,9 @@
-"""A vector of 8 float64 that is written like a number: the same formula for eight texels at once.
+"""A Numba type of 8 float64 with arithmetic operators, so that one formula is written once and serves eight texels.
 
-Operators + - * / and unary minus take vectors and numbers; ``root``, ``logarithm``, ``exponential``, ``least``,
-``greatest``, ``magnitude``, ``with_sign`` and ``chosen`` (no branch: both sides are computed) are the rest. Where the
-processor has narrower registers, LLVM splits each vector. log and exp are the polynomials of ``models.elementary``, to
-1e-7 of their value.
+The operators + - * / take two vectors, or a vector and a number. The functions ``root``, ``logarithm``,
+``exponential``, ``least``, ``greatest``, ``magnitude``, ``with_sign`` and ``chosen`` (which computes both sides)
+complete them. Where registers are narrower, LLVM splits each vector. log and exp are the polynomials of
+``models.elementary``, to 1e-7 of their value.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _called(builder: Any, name: str, *values: Any) -> Any:
 
 
 def _operator(symbol: Any, instruction: str) -> None:
-    """Let an operator take vectors, and a vector and a number."""
+    """Define an operator for two vectors, and for a vector and a number in either order."""
     both = [(doubles, doubles), (doubles, types.float64), (types.float64, doubles)]
 
     @infer_global(symbol)
@@ -155,7 +155,7 @@ def chosen(typing_context, test, positive, other):  # type: ignore[no-untyped-de
 def _extreme(sign: str) -> Any:
     @intrinsic
     def extreme(typing_context, x, bound):  # type: ignore[no-untyped-def]
-        """The less, or the greater, of a vector and a vector or number."""
+        """The smaller, or the larger, of a vector and a vector or number, lane by lane."""
 
         def generate(context, builder, sig, arguments):  # type: ignore[no-untyped-def]
             x, bound = arguments
@@ -194,7 +194,7 @@ def logarithm(typing_context, x):  # type: ignore[no-untyped-def]
     """log(x) of normal x > 0."""
 
     def generate(context, builder, sig, arguments):  # type: ignore[no-untyped-def]
-        # x = 2^k m, m in [sqrt(1/2), sqrt 2): k stands in the exponent field of what lies above sqrt(1/2).
+        # x = 2^k m with m in [sqrt(1/2), sqrt 2): subtracting the bits of sqrt(1/2) leaves k in the exponent field.
         pattern = builder.bitcast(arguments[0], _BITS)
         field = builder.and_(builder.sub(pattern, _whole(_HALF)), _whole(-(1 << 52)))
         k = builder.fmul(builder.sitofp(field, _VECTOR), _number(2.0**-52))
@@ -211,8 +211,8 @@ def exponential(typing_context, x):  # type: ignore[no-untyped-def]
     """exp(x), |x| at most 700."""
 
     def generate(context, builder, sig, arguments):  # type: ignore[no-untyped-def]
-        # Beyond 1.5 * 2^52 doubles are integers. An instruction without flags gets those of the kernel, and these
-        # must not be reassociated.
+        # Adding 1.5 * 2^52 rounds to an integer. An instruction without flags would get the kernel's fast-math flags,
+        # and these sums must not be reassociated.
         grid, plain = _number(1.5 * 2.0**52), ("contract",)
         k = builder.fadd(builder.fmul(arguments[0], _number(math.log2(math.e)), flags=plain), grid, flags=plain)
         whole = builder.fsub(k, grid, flags=plain)

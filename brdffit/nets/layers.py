@@ -1,4 +1,4 @@
-"""Networks of convolutions: a plain chain of dense layers, and DenseNets; all weights of one network are one vector."""
+"""Networks: chains of dense layers, and DenseNets of convolutions; all weights of a network are one vector."""
 
 from __future__ import annotations
 
@@ -18,15 +18,22 @@ from brdffit.nets.convolution import (
 )
 from brdffit.nets.vectors import LANES, PIXELS
 
-#: Of the leaky rectifier, below 0.
+#: Slope of the leaky rectifier below 0.
 SLOPE = 0.1
-#: Rows of a batch that go through a chain of layers together: their features fit a core's cache.
+#: Rows of a batch that go through a chain together, so that their features fit a core's cache.
 _ROWS = 1024
 
 
 @dataclass(frozen=True)
 class Layer:
-    """A convolution and where its weights stand in the network's vector; ins and outs count blocks of 16 channels."""
+    """A convolution with a leaky rectifier, and the place of its weights in the network's vector.
+
+    Attributes:
+        ins, outs: blocks of 16 channels of input and output.
+        reach: the filter's side is 2 reach + 1.
+        slope: of the rectifier below 0; 1 for a linear layer.
+        first: index of its first weight.
+    """
 
     ins: int
     outs: int
@@ -36,12 +43,12 @@ class Layer:
 
     @property
     def weights(self) -> slice:
-        """Its weights."""
+        """Range of its weights."""
         return slice(self.first, self.first + self.outs * (2 * self.reach + 1) ** 2 * self.ins * LANES * LANES)
 
     @property
     def bias(self) -> slice:
-        """Its bias, behind its weights."""
+        """Range of its bias, which follows its weights."""
         return slice(self.weights.stop, self.weights.stop + self.outs * LANES)
 
     def blocks_of(self, vector: NDArray) -> NDArray:
@@ -50,7 +57,7 @@ class Layer:
         return vector[self.weights].reshape(self.outs, side * side, self.ins, LANES, LANES)
 
     def forward(self, vector: NDArray, x: NDArray, y: NDArray, y_at: int, shape: tuple[int, int], margin: int) -> None:
-        """Write its output to y[y_at:]."""
+        """Write the output for x to y[y_at:]; ``shape`` is (height, width), see ``convolution.convolve``."""
         convolve(
             x, vector[self.weights], vector[self.bias], y, y_at, *shape, margin, self.ins, self.outs, self.reach,
             np.float32(self.slope),
@@ -60,7 +67,7 @@ class Layer:
         self, vector: NDArray, gradient: NDArray, x: NDArray, y: NDArray, y_at: int, dx: NDArray | None, dy: NDArray,
         dy_at: int, shape: tuple[int, int], margin: int,
     ) -> None:  # fmt: skip
-        """Add to the gradient of its weights, and to dx unless that is None; dy becomes dL/dz."""
+        """Add to the gradient of its weights, and to dx unless that is None; dy[dy_at:] becomes dL/dz."""
         if self.slope != 1.0:
             size = self.outs * (shape[0] + 2 * margin) * (shape[1] + 2 * margin) * LANES
             rectify_back(y, y_at, dy, dy_at, size, np.float32(self.slope))
@@ -75,7 +82,10 @@ def _blocks(channels: int) -> int:
 
 
 class Network:
-    """Weights (n,) float32 of some layers and their gradient; Kaiming's initial weights, channels that pad are 0."""
+    """Weights (n,) float32 of some layers, and their gradient.
+
+    Initial weights are those of He et al. 2015; weights of padding channels and biases are 0.
+    """
 
     def __init__(self) -> None:
         self.layers: list[Layer] = []
@@ -83,7 +93,7 @@ class Network:
         self.gradient = np.zeros(0, np.float32)
 
     def _allocate(self, layers: list[Layer], used: list[tuple[int, int, float]], rng: np.random.Generator) -> None:
-        """``used``: channels in and out that are none of the padding, and a factor of the initial weights, a layer."""
+        """``used``: for each layer, channels in and out without padding, and a factor of the initial weights."""
         self.layers = layers
         self.weights = np.zeros(layers[-1].bias.stop, np.float32)
         self.gradient = np.zeros_like(self.weights)
@@ -98,12 +108,12 @@ class Network:
 
 
 class DenseChain(Network):
-    """Dense layers one after another, leaky but for the last: rows (n, ins) to rows (n, outs).
+    """Dense layers one after another, leaky rectifiers after all but the last: rows (n, ins) to rows (n, outs).
 
     Args:
         sizes: channels of input, hidden layers and output.
         rng: draws the initial weights.
-        last_gain: factor of the last layer's initial weights; 0 starts with a network that says 0.
+        last_gain: factor of the last layer's initial weights; 0 makes the initial output 0.
     """
 
     def __init__(self, sizes: tuple[int, ...], rng: np.random.Generator, last_gain: float = 1.0) -> None:
@@ -120,7 +130,7 @@ class DenseChain(Network):
         self.kept: list[list[NDArray]] = []
 
     def forward(self, rows: NDArray, keep: bool = False) -> NDArray:
-        """Outputs (n, outs) float32 of rows (n, ins); ``keep`` what ``backward`` needs, in ``kept``."""
+        """Outputs (n, outs) float32 of rows (n, ins); with ``keep``, ``self.kept`` gets what ``backward`` needs."""
         out = np.empty((len(rows), self.sizes[-1]), np.float32)
         self.kept = []
         for start in range(0, len(rows), _ROWS):
@@ -141,8 +151,13 @@ class DenseChain(Network):
         return out
 
     def backward(self, d_out: NDArray, kept: list[list[NDArray]] | None = None, to_rows: bool = False) -> NDArray:
-        """Add to the gradient, from dL/d(output) (n, outs) of the last ``forward`` with ``keep``, or of that which left
-        ``kept``; returns dL/d(rows) (n, ins) if ``to_rows``, else nothing of use."""
+        """Add to the gradient, from dL/d(output) (n, outs).
+
+        Args:
+            d_out: for the outputs of the last ``forward`` with ``keep``, or of the one that ``kept`` is from.
+            kept: ``self.kept`` of an earlier ``forward``.
+            to_rows: whether to return dL/d(rows) (n, ins); otherwise an empty array is returned.
+        """
         by_rows = np.zeros((len(d_out) if to_rows else 0, self.sizes[0]), np.float32)
         for k, features in enumerate(self.kept if kept is None else kept):
             part = d_out[k * _ROWS : (k + 1) * _ROWS]
@@ -163,12 +178,12 @@ class DenseChain(Network):
 
 
 class DenseNet(Network):
-    """Huang et al. 2017: each layer reads the input and all layers before it, and adds 16 channels; then a linear head.
+    """A DenseNet (Huang et al. 2017): each layer reads the input and all earlier layers and adds 16 channels.
 
     Args:
         ins, outs: channels of input and output.
-        depth: layers of 16 channels, leaky.
-        reach: 1 for 3x3 filters, 0 for 1x1; the head is 1x1.
+        depth: layers of 16 channels with leaky rectifiers; a linear 1x1 head follows.
+        reach: 1 for 3x3 filters, 0 for 1x1.
         rng: draws the initial weights.
         head_gain: factor of the head's initial weights.
     """
@@ -182,7 +197,7 @@ class DenseNet(Network):
         layers, used, first = [], [], 0
         for i in range(depth):
             layers.append(Layer(blocks + i, 1, reach, SLOPE, first))
-            # Channels that pad the input hold zeros: their weights do nothing, but are drawn and counted like any.
+            # Weights of channels that pad the input are drawn too but see zeros, so the variance is scaled up.
             used.append(((blocks + i) * LANES, LANES, np.sqrt((blocks + i) * LANES / (ins + i * LANES))))
             first = layers[-1].bias.stop
         layers.append(Layer(blocks + depth, _blocks(outs), 0, 1.0, first))
@@ -191,7 +206,7 @@ class DenseNet(Network):
         self._features = np.zeros(0, np.float32)
 
     def forward(self, image: NDArray) -> NDArray:
-        """(H, W, outs) of an image (H, W, ins), W a multiple of 8; what ``backward`` needs is kept."""
+        """(H, W, outs) of an image (H, W, ins), W a multiple of 8; keeps what ``backward`` needs."""
         height, width = image.shape[:2]
         margin, blocks = self.reach, _blocks(self.ins)
         plane = (height + 2 * margin) * (width + 2 * margin) * LANES

@@ -1,7 +1,7 @@
-"""The training loop: time or steps, a held-out figure every minute, checkpoints written whole, a curve in the end.
+"""The training loop: a number of minutes or steps, a held-out figure and a checkpoint every minute, a curve at the end.
 
-Step t draws its random numbers from (seed, t) alone, and the loop runs on one thread: the same seed and steps give the
-same weights on one kind of processor.
+Step t draws its random numbers from (seed, t) alone, and no task's sums depend on the number of threads, so the same
+seed and steps give the same weights on one kind of processor.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _FIGURE_SECONDS = 60.0
 #: Steps whose mean loss is one point of the curve.
 _POINT = 100
 
-#: told(seconds, steps, share done, mean loss, held-out figure or None): called from time to time.
+#: told(seconds, steps, share done, mean loss, held-out figure or None), called every _POINT steps and every minute.
 Told = Callable[[float, int, float, float, float | None], None]
 
 
 class Task(Protocol):
-    """What is trained."""
+    """Something that can be trained. ``kind`` names the type of its file of weights."""
 
     kind: str
 
@@ -40,46 +40,46 @@ class Task(Protocol):
         ...
 
     def optimiser(self, size: int) -> Adam:
-        """Adam as this training wants it."""
+        """The optimiser for ``size`` weights."""
         ...
 
     def rate(self, step: int, done: float) -> float:
-        """Learning rate at a step, and share of the training that is done; asked before that step's batch."""
+        """Learning rate of a step, when the share ``done`` of the training is over; called before the step's batch."""
         ...
 
     def accumulate(self, rng: np.random.Generator) -> float:
-        """One batch: add to the gradients of the networks; returns the loss."""
+        """Add the gradient of one batch to those of the networks; returns the batch's loss."""
         ...
 
     def figure(self) -> float:
-        """SNR in dB on what is held out."""
+        """SNR in dB on held-out data."""
         ...
 
     def arrays(self) -> dict[str, NDArray]:
-        """What the file of weights holds."""
+        """Arrays of the file of weights, by name."""
         ...
 
     def meta(self) -> dict[str, Any]:
-        """What its meta says."""
+        """Entries of the file's meta; they override those of ``write_trained``."""
         ...
 
 
 def warm_then_falling(step: int, done: float, rate: float, last: float, warm: int = 100) -> float:
-    """Learning rate: ``warm`` steps up, held for the first half, then falling geometrically to ``last``."""
+    """Learning rate: rises linearly to ``rate`` over ``warm`` steps; falls geometrically to ``last`` from half on."""
     fall = 1.0 if done < 0.5 else (last / rate) ** ((done - 0.5) / 0.5)
     return rate * min(1.0, (step + 1) / warm) * fall
 
 
 @dataclass
 class Curve:
-    """Mean losses and held-out figures of a training, each with its seconds."""
+    """(seconds, mean loss) and (seconds, held-out figure in dB) of a training, in order of time."""
 
     losses: list[tuple[float, float]] = field(default_factory=list)
     figures: list[tuple[float, float]] = field(default_factory=list)
 
 
 def checkpoint_path(output: Path) -> Path:
-    """Where a training that writes ``output`` keeps its state."""
+    """Path of the checkpoint of a training that writes ``output``."""
     return output.with_name(f"{output.stem}.checkpoint.npz")
 
 
@@ -87,12 +87,22 @@ def train(
     task: Task, output: Path, *, minutes: float | None, steps: int | None = None, seed: int = 0, resume: bool = False,
     told: Told | None = None,
 ) -> Curve:  # fmt: skip
-    """Train for so many minutes, or steps, and write the weights, their curve as SVG, and a checkpoint every minute.
+    """Train for a number of minutes, or of steps, and write the weights and their curve as SVG.
 
-    ``minutes`` count what earlier runs took when ``resume`` goes on from their checkpoint.
+    Once a minute the weights so far and a checkpoint are written. Time that earlier runs took counts when ``resume``
+    continues from their checkpoint, and so do their steps.
+
+    Args:
+        task: what is trained.
+        output: file of the weights, .npz.
+        minutes, steps: length of the training; exactly one of them.
+        seed: of the batches.
+        resume: continue from the checkpoint beside ``output``.
+        told: is called with the progress.
 
     Raises:
-        InputError: when there is nothing to resume, or its weights have another shape.
+        InputError: when both or neither of minutes and steps are given, there is nothing to resume, or the checkpoint
+            is of another kind, seed or shape.
         OutputError: when a file cannot be written.
     """
     if (minutes is None) == (steps is None):
@@ -135,7 +145,7 @@ def train(
 
 
 def write_trained(output: Path, task: Task, seed: int, seconds: float, step: int, curve: Curve) -> None:
-    """The weights with all that tells where they come from, and the curve beside them."""
+    """Write the weights with their provenance, and the curve beside them as SVG."""
     meta = {
         "kind": task.kind, "model": "ggx", "brdffit": __version__, "processor": platform.machine(),
         "seed": seed, "steps": step, "seconds": round(seconds, 1),
@@ -158,7 +168,7 @@ def _write_checkpoint(
         "losses": curve.losses, "figures": curve.figures,
     }  # fmt: skip
     write_weights(checkpoint_path(output), arrays, meta)
-    # What is there so far can be used as it is.
+    # The weights so far are usable if the training is stopped.
     write_trained(output, task, seed, seconds, step, curve)
 
 
@@ -181,7 +191,7 @@ def _resumed(
 
 
 def draw_curve(curve: Curve, path: Path, title: str) -> None:
-    """The loss and the held-out figure over time, as SVG.
+    """Plot the loss and the held-out figure over time, as SVG.
 
     Raises:
         OutputError: when it cannot be written.

@@ -1,8 +1,8 @@
-"""A vector of 16 float32 as a Numba type, and tiles of such vectors: loops over lanes are written out.
+"""A Numba type of 16 float32, and tiles of such vectors, for explicitly vectorised kernels.
 
-LLVM's own vectoriser does not vectorise small fused layers (arrays that may alias, indices that may wrap). Here a
-value *is* a vector, so nothing is left to it. Where the processor has 8 lanes or 4, LLVM splits each vector into two
-registers or four. A tile is a tuple of vectors that stay in registers: an outer product adds to all of them,
+LLVM's vectoriser does not vectorise small fused layers, since arrays may alias and indices may wrap. Here a value is
+already a vector. Where registers have 8 or 4 lanes, LLVM splits each vector into two or four. A tile is a tuple of
+vectors that stay in registers; an outer product adds to all of them,
 
     tile[r] += array[first + r * stride] * vector,     r = 0 ... rows - 1.
 
@@ -68,7 +68,7 @@ def _fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 def _leaky(builder: Any, value: Any, like: Any, slope: Any) -> Any:
-    """``value`` where ``like`` is positive, else ``slope`` times it."""
+    """``value`` where ``like`` is positive, else ``slope`` times ``value``."""
     zero = ir.Constant(_LLVM_VECTOR, [0.0] * LANES)
     return builder.select(builder.fcmp_ordered(">", like, zero), value, builder.fmul(value, _spread(builder, slope)))
 
@@ -141,7 +141,7 @@ def multiply_add(typing_context, a, b, c):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def halves(typing_context, a, b):  # type: ignore[no-untyped-def]
-    """The vector of 8 times the scalar a, then 8 times the scalar b."""
+    """The vector whose first 8 lanes are the scalar a and whose last 8 are the scalar b."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         both = [builder.insert_element(ir.Constant(_LLVM_VECTOR, ir.Undefined), arguments[0], ir.Constant(_INT, 0))]
@@ -185,7 +185,7 @@ def _rotated_sum(builder: Any, value: Any, step: int) -> Any:
 
 
 def _tile(rows: int) -> tuple[Any, Any, Any, Any]:
-    """The operations on a tile of so many vectors: (repeated, loaded, multiply_add, stored)."""
+    """The operations on a tile of ``rows`` vectors: (repeated, loaded, multiply_add, stored)."""
     tile = types.UniTuple(vector, rows)
 
     @intrinsic
@@ -200,7 +200,7 @@ def _tile(rows: int) -> tuple[Any, Any, Any, Any]:
 
     @intrinsic
     def loaded(typing_context, array, index, stride):  # type: ignore[no-untyped-def]
-        """The tile that stands at array[index + r * stride]."""
+        """The tile whose vector r is read at array[index + r * stride]."""
 
         def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             at, values = arguments[1], []
@@ -228,7 +228,7 @@ def _tile(rows: int) -> tuple[Any, Any, Any, Any]:
 
     @intrinsic
     def stored(typing_context, sums, array, index, stride, slope):  # type: ignore[no-untyped-def]
-        """Write each sums[r], through a leaky rectifier of this slope (1: none), to array[index + r * stride]."""
+        """Write each sums[r] to array[index + r * stride], after a leaky rectifier of this slope (1: none)."""
 
         def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             at = arguments[2]
@@ -244,7 +244,7 @@ def _tile(rows: int) -> tuple[Any, Any, Any, Any]:
     return repeated, loaded, multiply_add, stored
 
 
-#: Pixels that a kernel works on at once: 8 sums hide the latency of a fused multiply and add.
+#: Pixels that a kernel works on at once: 8 sums hide the latency of a fused multiply-add.
 PIXELS = 8
 repeated8, loaded8, multiply_add8, stored8 = _tile(PIXELS)
 #: The rows of one 16 x 16 block of a weight gradient.

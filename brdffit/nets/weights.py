@@ -1,4 +1,4 @@
-"""Weights on disk: an .npz of float32 arrays and ``meta``, a JSON text of where they come from, with a digest of all.
+"""Weights on disk: an .npz of arrays and ``meta``, a JSON text with their provenance and a digest of the arrays.
 
 numpy writes fixed dates into the archive, so the same arrays give the same bytes.
 """
@@ -25,7 +25,7 @@ FORMAT = 1
 
 
 def digest_of(arrays: Mapping[str, NDArray]) -> str:
-    """SHA-256 over names, types, shapes and bytes of the arrays, in the order of their names."""
+    """SHA-256 in hexadecimal over names, types, shapes and bytes of the arrays, in the order of their names."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -37,7 +37,7 @@ def write_weights(path: Path, arrays: Mapping[str, NDArray], meta: Mapping[str, 
     """Write a file in full or not at all; ``format`` and ``digest`` are added to its meta.
 
     Raises:
-        OutputError: when it cannot be written; then what was there still is.
+        OutputError: when it cannot be written; an older file is then left as it was.
     """
     text = json.dumps({**meta, "format": FORMAT, "digest": digest_of(arrays)}, indent=1, sort_keys=True)
     data = io.BytesIO()
@@ -55,11 +55,11 @@ def write_weights(path: Path, arrays: Mapping[str, NDArray], meta: Mapping[str, 
 
 
 def read_weights(path: Path, kind: str) -> tuple[dict[str, NDArray], dict[str, Any]]:
-    """Arrays by name and the meta of a file of weights whose meta says ``kind``.
+    """(arrays by name, meta) of a file of weights of this ``kind``.
 
     Raises:
-        InputError: one sentence, for a file that cannot be read, is no file of weights, of another format or kind,
-            whose digest is another, or that holds numbers that are not finite.
+        InputError: when the file cannot be read, is no file of weights, has another format or kind, does not match its
+            digest, or holds numbers that are not finite.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:
@@ -83,7 +83,7 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, NDArray], dict[str, A
 
 
 def shaped(arrays: Mapping[str, NDArray], name: str, shape: tuple[int, ...], path: Path) -> NDArray:
-    """The array of this name.
+    """The array of this name, of the weights read from ``path``.
 
     Raises:
         InputError: when it is missing or has another shape.
