@@ -1,1 +1,1 @@
-"""Learned prefiltering: networks that predict what the fit would search for (Kemppinen et al. 2023)."""
+"""Learned prefiltering: networks that predict the lobe that the fit would search for (Kemppinen et al. 2023)."""

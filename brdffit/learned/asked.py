@@ -1,4 +1,4 @@
-"""What the learned methods share: checks against what they were trained for, files of weights, bounds of outputs."""
+"""Shared by the learned methods: checks of the options against the training, files of weights, bounds of outputs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,20 @@ from brdffit.errors import InputError
 from brdffit.options import LobeOptions
 from brdffit.svbrdf import Svbrdf
 
-#: Of the option ``weights``: those that the program ships.
+#: Value of the option ``weights`` for the weights that the program ships.
 SHIPPED = "shipped"
-#: Largest log of the factor by which a scale is corrected.
+#: Largest absolute log of the factor by which a network may correct the scale of a lobe.
 MOST_FACTOR = 2.0
 
 
 def check_asked(name: str, svbrdf: Svbrdf, options: LobeOptions, models: Sequence[str]) -> list[str]:
-    """Notes on what the networks, which know lobes of these models, were not trained for.
+    """Check a base and options against what the networks were trained for; returns notes on lesser differences.
+
+    Args:
+        name: of the method.
+        svbrdf: the base.
+        options: of the bake.
+        models: lobe models that the networks know.
 
     Raises:
         InputError: for another lobe model, or numbers that are not finite.
@@ -42,7 +48,10 @@ def check_asked(name: str, svbrdf: Svbrdf, options: LobeOptions, models: Sequenc
 
 
 def bounded(tensor: NDArray, options: LobeOptions) -> NDArray:
-    """Log tensors (n, 3) with eigenvalues between the roughness floor and 1; of round lobes if these are asked for."""
+    """Log tensors (n, 3) with the eigenvalues of the tensor clipped to [``min_roughness``^4, 1].
+
+    With ``lobe="isotropic"`` they are first made isotropic, with the same determinant.
+    """
     low = 4.0 * math.log(options.min_roughness)
     mean, half, off = 0.5 * (tensor[:, 0] + tensor[:, 1]), 0.5 * (tensor[:, 0] - tensor[:, 1]), tensor[:, 2]
     if options.lobe == "isotropic":
@@ -57,11 +66,11 @@ def level_of(
     normal: NDArray, tensor: NDArray, specular: NDArray, diffuse: NDArray, filtered: Mapping[str, NDArray],
     svbrdf: Svbrdf, options: LobeOptions,
 ) -> Svbrdf:  # fmt: skip
-    """A level (h, w) of the lobes that networks say and of averaged colours.
+    """A level (h, w) from the predicted lobes.
 
     Args:
-        normal, tensor, specular, diffuse: (h, w, 3); the log tensor is brought into bounds here.
-        filtered: averaged channels; of these "occlusion" (h, w, 1), if it is there, is taken.
+        normal, tensor, specular, diffuse: (h, w, 3); the log tensor is clipped here, see ``bounded``.
+        filtered: averaged channels, of which "occlusion" (h, w, 1) is used if it is there.
         svbrdf: the base.
         options: of the bake.
     """
@@ -75,12 +84,12 @@ def level_of(
 
 
 def weights_path(name: str, shipped: Path) -> Path:
-    """The file behind the option ``weights``."""
+    """The file that the option ``weights`` names: ``shipped``, or a path."""
     return shipped if name == SHIPPED else Path(name)
 
 
 def told_of(meta: Mapping[str, Any]) -> str:
-    """A sentence on how weights were made, from their meta."""
+    """Sentences on how weights were trained and which sets were held out, from the meta of their file."""
     sets, seconds = len(meta.get("training_sets", ())), float(meta.get("seconds", 0.0))
     took = f"{seconds / 60.0:.0f} min" if seconds >= 120.0 else f"{seconds:.0f} s"
     return (
@@ -90,6 +99,6 @@ def told_of(meta: Mapping[str, Any]) -> str:
 
 
 def tiny_base() -> Svbrdf:
-    """A base to compile for, of a size that does not halve, so that footprints are gathered too."""
+    """A base of 3x3 texels to compile with: its size cannot be halved, so the kernels that gather run too."""
     flat = np.zeros((3, 3, 3), np.float32)
     return Svbrdf(flat + np.array([0, 0, 1], np.float32), flat - 1.0, flat + 0.5, flat + 0.5)

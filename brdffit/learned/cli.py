@@ -1,4 +1,4 @@
-"""The commands ``brdffit learn ...``: they parse and call; heavy imports stand inside them."""
+"""The commands ``brdffit learn ...``. They parse options and call; heavy imports stand inside the functions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 
 from brdffit.nets.command import check_training, train_with_bar, training_options
 
-#: Methods of `learn judge`.
+#: Methods that `learn judge` measures unless others are named.
 _JUDGED = "bfgs,learned,latent,mipnet,lean,vmf,naive"
 
 
@@ -89,7 +89,7 @@ def _train(
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the rows as JSON too.")
 @click.argument("sources", metavar="SET...", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 def judge(sources: tuple[Path, ...], methods: str, texels: int, model: str, output: Path | None) -> None:
-    """Half-angle SNR in dB of methods on SETs, levels 1 to 5: sets that no training saw tell the truth."""
+    """Half-angle SNR in dB of methods on SETs, levels 1 to 5; fair only on sets that no training has seen."""
     import dataclasses
     import json
 

@@ -1,8 +1,7 @@
-"""Training crops of the method ``latent``: augmented patches of 32 x 32 texels and footprints in them.
+"""Training crops of the method ``latent``: augmented patches of 32 x 32 texels, and footprints in them.
 
-Augmented as in the paper: factors of roughness, turned and stretched tensors, steeper and flatter normals, brighter
-and darker colours, flips and quarter turns, and a binary mask of noise that puts two variants side by side, so that one
-patch holds differences that no set has.
+The augmentation is the paper's: roughness, slopes and colours are scaled, tensors are stretched, patches are flipped
+and transposed, and a binary mask of noise combines two patches, so that a patch holds contrasts that no set has.
 """
 
 from __future__ import annotations
@@ -27,31 +26,31 @@ from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 from brdffit.svbrdf import Svbrdf
 
 SIDE = 32
-#: Levels of a crop's pyramid, and its texels in all.
+#: Levels of a crop's pyramid, and the texels of all of them.
 LEVELS = 6
 TEXELS = sum((SIDE >> level) ** 2 for level in range(LEVELS))
-#: Scales that a crop is judged at, and points a scale. Footprints lie within the crop; those of more than it, beyond
-#: level 5, see it repeated.
+#: Scales of the footprints of a crop, and footprints at each scale. Footprints lie within the crop; those wider than
+#: it, beyond level 5, see it repeated.
 SCALES, POINTS = 12, 16
 _LOWEST, _HIGHEST = -0.5, 5.5
-#: Samples of a footprint along an axis, at most.
+#: Largest number of samples of a footprint along an axis.
 _MOST_SAMPLES = 24
 _TAPS = 8
 
 
 @dataclass(frozen=True)
 class Crop:
-    """One patch.
+    """One patch and its footprints.
 
     Attributes:
         model: lobe model of the base.
         inputs: (32, 32, INPUTS) float32, before whitening.
         taps: (n, 8) int64, rows of the pyramid of all levels that trilinear filtering reads for each point.
-        shares: (n, 8) their weights.
+        shares: (n, 8) weights of the taps.
         x, y, size: (n,) centre and width of each point's footprint in base texels; runs of POINTS share one size.
-        table: the exact objective of the footprints; None where it is not wanted.
-        normal, tensor, light: the base itself, (32, 32, 3), (32, 32, 3) log, (32, 32) luminance, float32.
-        pooled_light: (TEXELS,) luminance of all levels.
+        table: the exact objective of the footprints; None where it was not asked for.
+        normal, tensor, light: the base, float32: (32, 32, 3) normals, (32, 32, 3) log tensors, (32, 32) luminance.
+        pooled_light: (TEXELS,) luminance of all levels, averaged.
     """
 
     model: str
@@ -69,7 +68,7 @@ class Crop:
 
 
 class Source:
-    """A set as the crops read it: normals, log tensors and luminance."""
+    """The maps of a texture set that crops are cut from: normals, log tensors and specular luminance."""
 
     def __init__(self, path: str | Path) -> None:
         svbrdf = read_set(path)
@@ -89,7 +88,7 @@ class Source:
 def _turned(
     normal: NDArray, tensor: NDArray, luminance: NDArray, rng: np.random.Generator
 ) -> tuple[NDArray, NDArray, NDArray]:
-    """One of the eight symmetries of the square. Rows run down, y runs up."""
+    """A random symmetry of the square applied to maps and vectors. Rows run down, y runs up."""
     flip_x, flip_y, swap = rng.random(3) < 0.5
     normal, tensor = normal.copy(), tensor.copy()
     if flip_x:
@@ -123,7 +122,7 @@ def _varied(
 
 
 def within(tensor: NDArray) -> NDArray:
-    """Log tensors (..., 3) with eigenvalues within the roughness floor and 1."""
+    """Log tensors (..., 3) with the eigenvalues of the tensor clipped to [DEFAULT_MIN_ROUGHNESS^4, 1]."""
     low = 4.0 * math.log(DEFAULT_MIN_ROUGHNESS)
     mean, half, off = 0.5 * (tensor[..., 0] + tensor[..., 1]), 0.5 * (tensor[..., 0] - tensor[..., 1]), tensor[..., 2]
     radius = np.hypot(half, off)
@@ -133,7 +132,7 @@ def within(tensor: NDArray) -> NDArray:
 
 
 def noise_mask(rng: np.random.Generator) -> NDArray:
-    """(32, 32) bool: where noise of several octaves, random numbers on grids, is above a random level."""
+    """(32, 32) bool: where value noise of four octaves exceeds a random quantile of it."""
     total = np.zeros((SIDE, SIDE))
     for octave in range(1, 5):
         cells = 1 << octave
@@ -147,7 +146,7 @@ def noise_mask(rng: np.random.Generator) -> NDArray:
 
 
 def make_crop(sources: Sequence[Source], rng: np.random.Generator, exact: bool = True) -> Crop:
-    """A patch of a random set, half of them with another behind a mask, its lobes of a random model."""
+    """A crop of a random set and a random lobe model; half of all crops combine two patches by a mask."""
     patch = sources[int(rng.integers(len(sources)))].patch(rng)
     if rng.random() < 0.5:
         other, mask = sources[int(rng.integers(len(sources)))].patch(rng), noise_mask(rng)
@@ -163,7 +162,14 @@ def crop_of(
     normal: NDArray, tensor: NDArray, light: NDArray, rng: np.random.Generator, model: str = MODELS[0],
     exact: bool = True,
 ) -> Crop:  # fmt: skip
-    """A crop of these maps with footprints at random scales and points; ``exact`` makes their tables."""
+    """A crop of these maps with footprints at random scales and points; with ``exact``, with their tables.
+
+    Args:
+        normal, tensor, light: (32, 32, 3) normals, (32, 32, 3) log tensors, (32, 32) luminance.
+        rng: draws the footprints.
+        model: lobe model of the maps.
+        exact: whether ``Crop.table`` is made.
+    """
     grey = np.repeat(light[..., None], 3, axis=2)
     svbrdf = Svbrdf(normal, tensor, grey, np.zeros_like(grey), model=model, wrap="clamp")
     bases = {wrap: base_of(svbrdf.replace(wrap=wrap)) for wrap in ("clamp", "tile")}
@@ -203,7 +209,7 @@ def crop_of(
 
 
 def trilinear(x: NDArray, y: NDArray, level: float) -> tuple[NDArray, NDArray]:
-    """Taps (n, 8) and weights of points in base texels, at a level of detail; borders are clamped."""
+    """Taps and weights, both (n, 8), of trilinear reads at points in base texels; borders are clamped."""
     detail = min(max(level, 0.0), LEVELS - 1.0)
     fine = min(int(detail), LEVELS - 2)
     taps, shares = np.empty((len(x), _TAPS), np.int64), np.empty((len(x), _TAPS))

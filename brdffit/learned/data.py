@@ -1,4 +1,4 @@
-"""What the networks are trained on: texture sets, their variants, and footprints drawn from them."""
+"""Training data of the networks: texture sets, their variants, and footprints drawn from them."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.reading import read_texture_set
 
-#: Levels that training knows; beyond them footprints look like the last.
+#: Levels whose footprints are trained on; those of coarser levels resemble the last.
 LEVELS = 6
-#: (factor of perceptual roughness, factor of slopes) of a set's variants.
+#: Variants of a set: factor of perceptual roughness, factor of slopes.
 VARIANTS = ((1.0, 1.0), (0.6, 1.0), (0.8, 2.0), (1.2, 0.5), (0.35, 1.5))
 
 
 def read_set(source: str | Path) -> Svbrdf:
-    """A set for training: lobes of the model GGX, without colours that are not reflected."""
+    """A texture set as an SVBRDF of GGX lobes, without occlusion and height."""
     return to_svbrdf(read_texture_set(source)).replace(occlusion=None, height=None)
 
 
@@ -44,7 +44,7 @@ def set_digest(source: str | Path) -> str:
 
 
 def varied(svbrdf: Svbrdf, roughness: float, steepness: float) -> Svbrdf:
-    """Perceptual roughness and slopes times a factor; roughness stays within the floor and 1."""
+    """An SVBRDF with perceptual roughness and slopes scaled; the diagonal of the log tensor is clipped to its range."""
     if roughness == 1.0 and steepness == 1.0:
         return svbrdf
     normal = svbrdf.normal.copy()
@@ -57,7 +57,7 @@ def varied(svbrdf: Svbrdf, roughness: float, steepness: float) -> Svbrdf:
 
 
 def level_strata(base_size: tuple[int, int], level: int) -> tuple[Strata, int]:
-    """Strata of a level's box footprints and the room that their lobes need, sampled as the draft preset does."""
+    """Strata of a level's box footprints, sampled as by the draft preset, and how many lobes they need room for."""
     sizes = level_sizes(base_size)
     level = min(level, len(sizes) - 1)
     rules = level_rules(get_pixel_filter("box"), base_size, sizes[level], level, get_quality("draft"))
@@ -65,7 +65,7 @@ def level_strata(base_size: tuple[int, int], level: int) -> tuple[Strata, int]:
 
 
 def footprints(svbrdf: Svbrdf, level: int, count: int, rng: np.random.Generator) -> Table:
-    """Random texels of a level, with the moments that a bake takes of them."""
+    """The table of ``count`` random footprints of a level, with moments as a bake computes them."""
     sizes = level_sizes(svbrdf.size)
     level = min(level, len(sizes) - 1)
     height, width = sizes[level]
@@ -81,10 +81,10 @@ def footprints(svbrdf: Svbrdf, level: int, count: int, rng: np.random.Generator)
 
 
 def training_table(sources: Sequence[str | Path], texels: int, rng: np.random.Generator) -> Table:
-    """Footprints of all sets, variants and levels, ``texels`` in all, about.
+    """The table of footprints of all sets, variants and levels, about ``texels`` in total.
 
     Raises:
-        InputError: when no set reflects anything.
+        InputError: when a set cannot be read, or no set reflects anything.
     """
     each = max(8, math.ceil(texels / (len(sources) * len(VARIANTS) * LEVELS)))
     parts = []

@@ -31,8 +31,14 @@ _NODES, _SAMPLES = 2048, (16, 64)
 
 @dataclass(frozen=True)
 class Row:
-    """One method on one set: SNR in dB of the mean error, a level; seconds of its bake, None where single texels were
-    fitted; its notes."""
+    """One method on one set.
+
+    Attributes:
+        source, method: names.
+        snr: SNR in dB of the mean error, for each level.
+        seconds: of the bake; None where single texels were fitted instead.
+        notes: of the bake.
+    """
 
     source: str
     method: str
@@ -42,16 +48,23 @@ class Row:
 
     @property
     def mean(self) -> float:
-        """Mean of the levels, dB."""
+        """Mean SNR over the levels, in dB."""
         return float(np.mean(self.snr))
 
 
 def judge(
     sources: Sequence[Path], methods: Sequence[str] = METHODS, texels: int = 48, model: str = "ggx"
 ) -> Iterator[list[Row]]:
-    """Rows of each set, lobes at their own scale against point lights, on the same random texels.
+    """The rows of each set in turn: half-angle SNR of every method on the same random texels, with the scale it gave.
 
-    A fit takes a minute a set, so the default method fits the texels that are judged and no others.
+    A whole fit takes a minute a set, so the default method fits only the texels that are measured, and for point lights
+    as the networks were trained.
+
+    Args:
+        sources: texture sets.
+        methods: names of methods of lobes.
+        texels: random texels of each level.
+        model: lobe model of the levels.
     """
     for source in sources:
         svbrdf = read_set(source)
@@ -115,7 +128,7 @@ def _baked(
 
 
 def mean_rows(tables: Sequence[Sequence[Row]]) -> list[Row]:
-    """The mean over sets of each method."""
+    """One row for each method: the mean over the sets that have all levels."""
     by_method: dict[str, list[Row]] = {}
     for table in tables:
         for row in table:

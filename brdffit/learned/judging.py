@@ -1,4 +1,4 @@
-"""What trainings of level-by-level methods are judged by: texels of patches of sets that they never see."""
+"""The held-out figure of the trainings of ``latent`` and ``mipnet``: the error on patches of held-out sets."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from brdffit.learned.kernels.tables import Table, errors_of, tabulate
 from brdffit.learned.latent import FACTOR, NORMAL, TENSOR, lifted
 from brdffit.svbrdf import Svbrdf
 
-#: Levels that are judged.
+#: Levels that are measured.
 LEVELS = (1, 2, 3)
-#: Patches of each set, and their size; texels near a patch's border are not judged.
+#: Patches of each set, their side in texels, and the border in texels within which no texel is measured.
 _PATCHES, _PATCH, _BORDER = 2, 64, 8
 
-#: Outputs (h * w, OUTPUTS) of every level of a patch, level 0 first, as a decoder of ``latent`` says them.
+#: Function from a patch to the outputs (h * w, OUTPUTS) of each of its levels, level 0 first, as of ``latent``.
 Say = Callable[[Svbrdf], Sequence[NDArray]]
 
 
@@ -31,7 +31,7 @@ class JudgedPatch:
         self.name, self.svbrdf, self.tables = name, svbrdf, tables
 
     def errors(self, say: Say) -> dict[int, NDArray]:
-        """Error (n,) of the texels judged, a level."""
+        """Relative squared errors (n,) of the measured texels, by level."""
         levels, out = say(self.svbrdf), {}
         for level, (index, table) in self.tables.items():
             said = np.asarray(levels[level], np.float64)[index]
@@ -44,7 +44,7 @@ class JudgedPatch:
 
 
 def judged_patches(sources: Sequence[Path], rng: np.random.Generator) -> list[JudgedPatch]:
-    """Some patches of each set."""
+    """Random patches of each set, with the tables of their footprints."""
     patches = []
     for source in sources:
         svbrdf = read_set(source)
@@ -67,7 +67,7 @@ def judged_patches(sources: Sequence[Path], rng: np.random.Generator) -> list[Ju
 
 
 def figure_of(patches: Sequence[JudgedPatch], say: Say) -> float:
-    """Mean over sets and levels of the SNR in dB."""
+    """SNR in dB, averaged over sets and levels."""
     errors: dict[tuple[str, int], list[NDArray]] = {}
     for patch in patches:
         for level, error in patch.errors(say).items():

@@ -1,25 +1,25 @@
-"""The networks behind the method ``latent`` (Kemppinen et al. 2023): a code whose linear filtering is prefiltering.
+"""The networks of the method ``latent`` (Kemppinen et al. 2023): filtering their code linearly prefilters the lobes.
 
     theta_level = D(downsample(E(theta)))
 
 The encoder E has six layers of 3x3, the decoder D four of 1x1, both DenseNets that add 16 maps a layer; the code has 64
-channels. Inputs are whitened by the training set's mean and covariance. The lobe's tensor is the exponential of what is
-said, so that it is always positive definite; its normal is said by x and y alone and lifted to the hemisphere. As in
-the paper's section 3.5 there is an encoder for each lobe model of the base and a decoder for each of the levels, and
-any pair of them fits, for they share one code.
+channels. Inputs are whitened by the training set's mean and covariance. The decoder outputs the log of the lobe's
+tensor, which is therefore always positive definite, and x and y of its normal, which are lifted to the hemisphere. As
+in the paper's section 3.5 there is an encoder for each lobe model of the base and a decoder for each lobe model of the
+levels; all of them share one code, so any pair can be combined.
 
 Two forms of the outputs:
 
-- ``absolute``, the paper's: whitened normal, log tensor, put back by mean and covariance. It starts as plain averaging:
-  the code's first channels are the inputs, the outputs are these, and all of them are trained.
-- ``correction``, what we ship: the code's first 16 channels stay the inputs, so that the code always holds their
-  filtered values, of which ``filtered_lobe`` makes LEAN's lobe; the decoder says what is to be added to it: x and y in
-  units of the lobe's width, and the log tensor. A network that says a normal outright is never exact, and a sharp lobe
-  wants it to a hundredth; of equal training this form was 3 dB better on sets that it had not seen.
+- ``absolute``, the paper's: whitened normal and log tensor, mapped back by mean and covariance. Its initial weights
+  average: the code's first channels are the inputs and the outputs equal them; all of them are trained.
+- ``correction``, which we ship: the code's first 16 channels remain the inputs, so a filtered code always holds their
+  averages, from which ``filtered_lobe`` computes LEAN's lobe. The decoder outputs a correction of that lobe: x and y in
+  units of the lobe's width, and the log tensor. Networks predict absolute normals with a small error, but a sharp lobe
+  needs them to a hundredth; after equal training this form was 3 dB better on held-out sets.
 
-Further differences from the paper: beside normal (2), log tensor (3) and log luminance the inputs hold ten products of
-these, whose averages LEAN needs and which layers of 3x3 would take long to find; the sixth output is the log of the
-scale over the filtered colour, so that hues are filtered linearly.
+Further differences from the paper: besides normal (2), log tensor (3) and log luminance, the inputs contain ten
+products of these, whose averages LEAN needs and which 3x3 layers learn slowly; the sixth output is the log of the scale
+over the filtered colour, so that hues are filtered linearly.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ INPUTS, PLAIN, CODE, OUTPUTS = 16, 6, 64, 6
 ENCODER_DEPTH, DECODER_DEPTH = 6, 4
 #: Outputs: x and y of the normal, log tensor, log of the scale over the filtered colour.
 NORMAL, TENSOR, FACTOR = slice(0, 2), slice(2, 5), 5
-#: Longest x and y of a normal: beyond it is cut to this before it is lifted.
+#: Largest length of (x, y) of a normal; longer ones are shortened to it before they are lifted.
 LONGEST = 0.995
-#: Below this a specular colour is black.
+#: Added to luminance before its log is taken.
 _DARK = 1e-3
-#: Side of a tile that is encoded at once, and how far a texel of the code sees.
+#: Side of a tile that is encoded at once, and the radius in texels of the encoder's receptive field.
 _TILE, _APRON = 96, ENCODER_DEPTH
 _ROWS = 8192
 
@@ -78,10 +78,11 @@ class LatentNetworks:
     Attributes:
         form: what outputs mean, one of ``FORMS``.
         encoders, decoders: by lobe model.
-        mean: (INPUTS,) of the training set.
-        whiten: (INPUTS, INPUTS): the first PLAIN by the inverse square root of their covariance, products by their
-            deviation.
-        colour: (PLAIN, PLAIN), the square root of that covariance.
+        mean: (INPUTS,) mean of the inputs over the training set.
+        whiten: (INPUTS, INPUTS) matrix that whitens inputs: the inverse square root of the covariance of the first
+            PLAIN, and one over the standard deviation of the products.
+        colour: (PLAIN, PLAIN) square root of that covariance, which undoes the whitening.
+        whitened_back: (INPUTS, INPUTS) inverse of ``whiten``.
     """
 
     def __init__(self, rng: np.random.Generator, form: str = FORMS[0]) -> None:
@@ -106,7 +107,7 @@ class LatentNetworks:
                 head[..., FACTOR] = 0.0
 
     def whiten_by(self, samples: NDArray) -> None:
-        """Take mean and covariance from inputs (n, INPUTS) of training."""
+        """Set mean and whitening from training inputs (n, INPUTS)."""
         self.mean = samples.mean(axis=0, dtype=np.float64)
         plain = np.cov(samples[:, :PLAIN].T.astype(np.float64)) + 1e-3 * np.eye(PLAIN)
         values, vectors = np.linalg.eigh(plain)
@@ -116,15 +117,17 @@ class LatentNetworks:
         self.whitened_back = np.linalg.inv(self.whiten)
 
     def encode(self, inputs: NDArray, model: str = MODELS[0]) -> NDArray:
-        """Code (H, W, CODE) of inputs (H, W, INPUTS) of a base of this model, W a multiple of 8, zeros beyond the
-        border."""
+        """Code (H, W, CODE) of inputs (H, W, INPUTS) of a base of this model; W is a multiple of 8.
+
+        Beyond the border the encoder sees zeros.
+        """
         return self.encoders[model].forward(((inputs - self.mean) @ self.whiten).astype(np.float32))
 
     def encode_back(self, by_code: NDArray, model: str = MODELS[0]) -> None:
-        """Add to the encoder's gradient, of the last ``encode``."""
+        """Add to the encoder's gradient from dL/d(code) (H, W, CODE) of the last ``encode``."""
         encoder = self.encoders[model]
         encoder.backward(by_code)
-        if self.form == "correction":  # the inputs ride along in the code and stay what they are
+        if self.form == "correction":  # the head's first 16 channels must keep copying the inputs
             head = encoder.layers[-1]
             head.blocks_of(encoder.gradient)[0] = 0.0
             encoder.gradient[head.bias][:LANES] = 0.0
@@ -132,7 +135,7 @@ class LatentNetworks:
     def decode(self, code: NDArray, model: str = MODELS[0], lobe: NDArray | None = None) -> NDArray:
         """Outputs (n, OUTPUTS) float64 of codes (n, CODE): normal, log tensor and factor of lobes of this model.
 
-        ``lobe``: what ``filtered`` says of the code, if it is known.
+        ``lobe`` (n, 5): the result of ``filtered`` for this code, if it is known.
         """
         padded = -(-len(code) // PIXELS) * PIXELS
         image = np.zeros((1, padded, CODE), np.float32)
@@ -144,7 +147,7 @@ class LatentNetworks:
             said[:, NORMAL] *= self._width
             said[:, :FACTOR] += lobe
             return said
-        # The scale's log is said as it is; the whitened colour stands where it stood, at its mean.
+        # The factor is output as it is. In its place luminance counts as its mean while the others are mapped back.
         factor = said[:, FACTOR].copy()
         said[:, FACTOR] = 0.0
         said = said @ self.colour + self.mean[:PLAIN]
@@ -154,7 +157,7 @@ class LatentNetworks:
     def decode_back(self, by_said: NDArray, model: str = MODELS[0]) -> NDArray:
         """dL/d(code) (n, CODE) from dL/d(outputs); adds to the decoder's gradient, of the last ``decode``.
 
-        What the filtered lobe itself owes to the code is left out: those channels are not trained.
+        The derivative of the filtered lobe by the code is left out, since the channels that it reads are not trained.
         """
         by_out = by_said.copy()
         if self.form == "correction":
@@ -169,24 +172,24 @@ class LatentNetworks:
         return self.decoders[model].backward(image)[0, : len(by_out)]
 
     def filtered(self, code: NDArray) -> NDArray:
-        """``filtered_lobe`` of the inputs that ride along in codes (n, CODE)."""
+        """``filtered_lobe`` (n, 5) of the inputs that are copied in the first channels of codes (n, CODE)."""
         return filtered_lobe(code[:, :INPUTS] @ self.whitened_back + self.mean)
 
     def networks(self) -> dict[str, DenseNet]:
-        """All of them, by the names that their weights have in a file."""
+        """All networks, by the names of their weights in a file."""
         return {
             **{f"encoder.{model}": each for model, each in self.encoders.items()},
             **{f"decoder.{model}": each for model, each in self.decoders.items()},
         }
 
     def arrays(self) -> dict[str, NDArray]:
-        """All that must be kept, for ``write_weights``."""
+        """The arrays of a file of weights, by name."""
         weights = {name: each.weights for name, each in self.networks().items()}
         return weights | {"mean": self.mean, "whiten": self.whiten, "colour": self.colour}
 
     @classmethod
     def of(cls, arrays: dict[str, NDArray], meta: dict[str, Any], path: Path) -> LatentNetworks:
-        """The networks that these weights are of.
+        """The networks with the weights of a file.
 
         Raises:
             InputError: when they have another form or shape.
@@ -205,11 +208,10 @@ class LatentNetworks:
 
 
 def filtered_lobe(filtered: NDArray) -> NDArray:
-    """(n, 5) x and y of the normal and log tensor of LEAN's lobe, of filtered inputs (n, INPUTS) float64.
+    """(n, 5) x and y of the normal, and log tensor, of LEAN's lobe, from filtered inputs (n, INPUTS) float64.
 
-    The normal is that of the mean of x and y; its tensor E[Sigma] + 2 J Cov J' lies in the tangent plane, where a shift
-    d of x and y is J d, J = I + (1 / n_z - 1) e e' with e the direction of the tilt. Eigenvalues are held within 1e-6
-    and 1.
+    The normal has the mean of x and y. The tensor is E[Sigma] + 2 J Cov J' in the tangent plane, where a change d of x
+    and y is J d, J = I + (1 / n_z - 1) e e' with e the direction of the tilt. Its eigenvalues are clipped to [1e-6, 1].
     """
     x, y = filtered[:, 0], filtered[:, 1]
     xx, yy = np.maximum(filtered[:, 6] - x * x, 0.0), np.maximum(filtered[:, 8] - y * y, 0.0)
@@ -231,17 +233,17 @@ def filtered_lobe(filtered: NDArray) -> NDArray:
 
 @cache
 def load_networks(path: Path = SHIPPED) -> tuple[LatentNetworks, dict[str, Any]]:
-    """The networks of a file, read once, and its meta.
+    """The networks of a file, which is read once, and its meta.
 
     Raises:
-        InputError: for a file that is none of its kind.
+        InputError: when the file cannot be read or is of another kind, form or shape.
     """
     arrays, meta = read_weights(path, KIND)
     return LatentNetworks.of(arrays, meta, path), meta
 
 
 def encode_image(networks: LatentNetworks, svbrdf: Svbrdf, pool: Executor) -> NDArray:
-    """Code (H, W, CODE) float32 of a whole texture, tile by tile with all that a tile's texels see around it."""
+    """Code (H, W, CODE) float32 of a whole texture, tile by tile, each with the encoder's receptive field around it."""
     height, width = svbrdf.size
     code = np.empty((height, width, CODE), np.float32)
     inner = _TILE - 2 * _APRON
@@ -254,7 +256,7 @@ def encode_image(networks: LatentNetworks, svbrdf: Svbrdf, pool: Executor) -> ND
         rows, columns = indices(corner[0], height), indices(corner[1], width)
         part = np.ix_(rows, columns)
         inputs = inputs_of(svbrdf.normal[part], svbrdf.log_roughness[part], svbrdf.specular[part] @ LUMINANCE)
-        # A worker's own features; the weights are shared.
+        # Each worker needs features of its own; the weights are shared.
         own = copy.copy(networks)
         own.encoders = {svbrdf.model: copy.copy(networks.encoders[svbrdf.model])}
         made = own.encode(inputs, svbrdf.model)
@@ -285,7 +287,7 @@ def decode_image(networks: LatentNetworks, code: NDArray, pool: Executor, model:
 
 
 def lifted(xy: NDArray) -> NDArray:
-    """Unit normals (..., 3) of their x and y (..., 2), cut to the disc of radius ``LONGEST``."""
+    """Unit normals (..., 3) from their x and y (..., 2), which are first shortened to at most ``LONGEST``."""
     length = np.linalg.norm(xy, axis=-1, keepdims=True)
     inside = xy * np.minimum(1.0, LONGEST / np.maximum(length, 1e-12))
     z = np.sqrt(1.0 - np.square(inside).sum(axis=-1, keepdims=True))

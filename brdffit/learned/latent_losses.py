@@ -1,12 +1,12 @@
-"""The two losses of the method ``latent``: the exact half-angle objective, and the paper's, by one sample a pixel.
+"""The two losses of the method ``latent``: the exact half-angle objective, and the paper's, with one sample a pixel.
 
-Both judge what trilinear filtering makes of a decoder's outputs at a crop's points. Half vectors of cosine-distributed
-lights and viewers have the half-angle density, so the two have one subject, the lobe as it is seen:
+Both measure the lobes that trilinear filtering of a decoder's outputs gives at a crop's points. Half vectors of
+cosine-distributed lights and viewers follow the half-angle density, so both measure the same error:
 
 - ``exact``: log(e + floor), e the relative squared error of the lobe at its best scale, over the nodes of the point's
-  own table. No random numbers; the scale is learned beside it, as in ``residual_training``.
-- ``paper``: equation 5, |P - G|^2 / (|P|^2 + epsilon) over images of one scale and half vector, the denominator held,
-  G one sample of the base within the footprint (Noise2Noise).
+  own table. It needs no random numbers; the scale is learned separately, as in ``residual_training``.
+- ``paper``: equation 5, |P - G|^2 / (|P|^2 + epsilon) over images of one scale and half vector. The denominator is not
+  differentiated; G is one sample of the base within the footprint (Noise2Noise).
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from brdffit.learned.latent import LONGEST, OUTPUTS
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 
 LOSSES = ("exact", "paper")
-#: Of the exact loss: a texel's error counts relative to itself down to here; how hard a point may pull.
+#: Exact loss: the floor below which an error no longer counts relative to itself, and the longest gradient of a point.
 FLOOR, _STEEPEST = 0.1, 3.0
-#: Lights and viewers of a step, as in the paper, and what its denominator is at least.
+#: The paper's loss: half vectors of a step, and epsilon of its denominator.
 LIGHTS, _EPSILON = 64, 0.01
 
 
 def exact_loss(said: NDArray, crop: Crop, model: str) -> tuple[float, NDArray]:
-    """Mean loss of outputs (TEXELS, OUTPUTS) of a decoder of this model, and its gradient by them."""
+    """The exact loss of outputs (TEXELS, OUTPUTS) of a decoder of this model, averaged, and its gradient by them."""
     assert crop.table is not None
     points = len(crop.taps)
     whole, mean, theta = _interpolated(said, crop)
@@ -54,7 +54,7 @@ def exact_loss(said: NDArray, crop: Crop, model: str) -> tuple[float, NDArray]:
     by_mean = np.zeros((points, LIFTED))
     slopes_back(mean, np.where(fine[:, None], found.gradient, 0.0) * weight[:, None], _STEEPEST, by_mean)
     scale = crop.table.colour * np.exp(np.clip(mean[:, 6], -MOST_FACTOR, MOST_FACTOR))
-    # Where the scale is far off, the square goes over into a line.
+    # Clipping turns the squared error into a linear one where the scale is far off.
     by_mean[:, 6] = np.where(fine, 2.0 * np.clip(found.weight * weight * (scale - found.scale) * scale, -1.0, 1.0), 0.0)
     return float(np.mean(np.log(error + FLOOR))), _spread(said, whole, crop, by_mean / points)
 
@@ -105,7 +105,7 @@ def _spread(said: NDArray, whole: NDArray, crop: Crop, by_mean: NDArray) -> NDAr
 
 @cache
 def _rendering_kernel() -> Any:
-    """``relative_rows`` compiled for function-typed arguments: it reaches the disk cache."""
+    """``relative_rows``, compiled for function-typed arguments so that it can be cached on disk."""
     line, square, single = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1), np.float32)
     image = np.zeros((1, 1, 3), np.float32)
     data = (

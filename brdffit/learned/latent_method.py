@@ -1,4 +1,4 @@
-"""The method ``latent``: a base is encoded once, its code filtered linearly, and every level decoded."""
+"""The method ``latent``: encode the base once, filter its code linearly, decode every level."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Latent(LobeMethod):
         sizes = level_sizes(svbrdf.size, options.levels)
         pixel_filter = get_pixel_filter(options.pixel_filter)
         exponent = DENSITY_EXPONENTS[options.density]
-        # Level 0 of the code is filtered already: the encoder was trained so.
+        # The code at level 0 is not filtered: the decoder was trained to return lobes of filtered texels from it.
         images = {"specular": svbrdf.specular}
         if svbrdf.diffuse.any():
             images |= {f"diffuse {k}": svbrdf.diffuse[..., k : k + 1] * svbrdf.normal for k in range(3)}

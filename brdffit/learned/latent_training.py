@@ -1,4 +1,4 @@
-"""Training of the method ``latent``: one augmented crop a step, judged between texels and levels."""
+"""Training of the method ``latent``: one augmented crop a step, with the loss at points between texels and levels."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from brdffit.svbrdf import Svbrdf
 
 #: Iterations of the paper's training.
 PAPER_STEPS = 310_000
-#: Crops that are at hand; one of them is replaced by a fresh one every so many steps, in the mean.
+#: Number of crops that steps draw from, and mean number of steps after which one of them is replaced.
 CROPS, _STEPS_A_CROP = 1000, 15
-# The paper's 5e-5 is for one noisy sample a pixel; the exact objective bears more.
+# Learning rate; the paper's 5e-5 is for one noisy sample a pixel, and the exact objective allows a larger one.
 _RATE, _WARM_STEPS, _HALVINGS = 3e-4, 100, 6.2
 _TOLD = {
     "exact": f"mean of log(e + {FLOOR}), e the half-angle error of the interpolated lobe at its best scale",
@@ -44,12 +44,12 @@ _TOLD = {
 
 
 class LatentTask(SetsTask):
-    """Networks and their crops. A training that is resumed begins with the first crops again.
+    """The networks and the crops that they are trained on. A resumed training starts from the first crops again.
 
     Args:
         sources, held_out: see ``SetsTask``.
         seed: of initial weights and crops.
-        crops: at hand at once.
+        crops: number of crops that steps draw from.
         loss: "exact", or "paper".
         form: of the decoders' outputs, see ``latent``.
     """
@@ -77,26 +77,26 @@ class LatentTask(SetsTask):
         return make_crop(self.sets, rng, exact=self.loss == "exact")
 
     def optimiser(self, size: int) -> Adam:
-        """As in the paper."""
+        """Adam with the paper's parameters."""
         return Adam(size, (0.95, 0.95), 1e-6)
 
     def rate(self, step: int, done: float) -> float:
-        """Halved as often as in the paper, whatever the training's length."""
+        """Rises over the first steps, then is halved as many times as in the paper, whatever the training's length."""
         return _RATE * min(1.0, (step + 1) / _WARM_STEPS) * 0.5 ** int(done * _HALVINGS)
 
     def accumulate(self, rng: np.random.Generator) -> float:
-        """One crop."""
+        """Add the gradient of one crop; returns its loss."""
         if rng.integers(_STEPS_A_CROP) == 0:
             self.crops[rng.integers(len(self.crops))] = self._make_crop(rng)
         crop = self.crops[rng.integers(len(self.crops))]
         return learn_crop(self.networks_, crop, rng if self.loss == "paper" else None)
 
     def figure(self) -> float:
-        """Mean over sets and levels of the SNR."""
+        """Mean over sets and levels of the SNR in dB, on held-out sets."""
         return figure_of(self.judged, lambda svbrdf: say_levels(self.networks_, svbrdf))
 
     def arrays(self) -> dict[str, NDArray]:
-        """Of the networks."""
+        """Arrays of the networks."""
         return self.networks_.arrays()
 
     def meta(self) -> dict[str, Any]:
@@ -113,7 +113,7 @@ class LatentTask(SetsTask):
 
 
 def pooled(code: NDArray) -> NDArray:
-    """Means of 2 x 2 texels."""
+    """(H / 2, W / 2, C) means over 2 x 2 texels of a code (H, W, C)."""
     height, width, channels = code.shape
     return code.reshape(height // 2, 2, width // 2, 2, channels).mean(axis=(1, 3))
 
@@ -124,9 +124,9 @@ def spread_back(by_code: NDArray) -> NDArray:
 
 
 def learn_crop(networks: LatentNetworks, crop: Crop, rng: np.random.Generator | None = None) -> float:
-    """Mean loss of a crop's footprints over all decoders; adds to the gradients of the crop's encoder and of these.
+    """Mean loss of a crop over all decoders; adds to the gradients of the crop's encoder and of all decoders.
 
-    With ``rng`` it is the paper's loss, else the exact one.
+    With ``rng`` it is the paper's loss, otherwise the exact one.
     """
     codes = [networks.encode(crop.inputs, crop.model)]
     for _ in range(LEVELS - 1):
@@ -150,7 +150,7 @@ def learn_crop(networks: LatentNetworks, crop: Crop, rng: np.random.Generator | 
 
 
 def say_levels(networks: LatentNetworks, svbrdf: Svbrdf) -> list[NDArray]:
-    """Outputs (h * w, OUTPUTS) of the levels of a patch whose sides can be halved."""
+    """Outputs (h * w, OUTPUTS) of the levels of a patch, down to the first with an odd side."""
     inputs = inputs_of(svbrdf.normal, svbrdf.log_roughness, svbrdf.specular @ LUMINANCE)
     code, levels = networks.encode(inputs), []
     while True:

@@ -1,5 +1,7 @@
-"""The method ``learned``: moments of footprints, a closed form and a network's correction of it; what training did not
-cover is fitted."""
+"""The method ``learned``: a closed form from the moments of footprints, corrected by a network.
+
+Texels whose features lie outside the range of the training data are fitted instead.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ from brdffit.options import LobeOptions, option
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 MODEL = "ggx"
-#: Texels of a strip of rows, and fits, that a worker takes at once.
+#: Texels of a strip of rows, and texels to fit, that a worker takes at once.
 _TEXELS_PER_PIECE, _FITS_PER_PIECE = 32768, 512
 
 
@@ -53,14 +55,14 @@ class LearnedOptions(LobeOptions):
 
 
 def _fit_options(options: LearnedOptions) -> FitOptions:
-    """The same options as the fit has them; the network knows point lights alone, so its fits do too."""
+    """The options of the fit, for point lights as the network was trained."""
     ours = dataclasses.asdict(options)
     same = {each.name: ours[each.name] for each in dataclasses.fields(FitOptions) if each.name in ours}
     return FitOptions(**{"lights": "point", **same})
 
 
 class Learned(LobeMethod):
-    """Closed form plus a network's correction; what training did not cover is fitted."""
+    """A closed form, corrected by a network; texels unlike the training data are fitted."""
 
     name = "learned"
     summary = "closed form and a network's correction of it; texels unlike all training are fitted"
@@ -101,7 +103,7 @@ class Learned(LobeMethod):
 
 
 class _Bake:
-    """One bake: the levels, the finer before the coarser, whose footprints are unions of theirs."""
+    """The state of one bake. Levels are made from fine to coarse, since coarse footprints sum up finer ones."""
 
     def __init__(self, svbrdf: Svbrdf, options: LearnedOptions, pool: Executor, progress: Progress | None) -> None:
         self.svbrdf, self.options, self.pool, self.progress = svbrdf, options, pool, progress
@@ -115,7 +117,7 @@ class _Bake:
         """Append all levels; returns how many texels were fitted."""
         sizes = level_sizes(self.svbrdf.size, self.options.levels)
         box, fitted, tiles = self.options.pixel_filter == "box", 0, np.zeros(0)
-        known = box  # whether the sums of this level are: of the base itself, or in ``tiles``
+        known = box  # whether the sums of this level come from the base (level 0) or from ``tiles``
         for mip_level, size in enumerate(sizes):
             started = time.perf_counter()
             below = sizes[mip_level + 1] if mip_level + 1 < len(sizes) else None
@@ -133,7 +135,15 @@ class _Bake:
     def level(
         self, mip_level: int, size: tuple[int, int], tiles: NDArray, known: bool, pooled: NDArray
     ) -> tuple[Level, int]:
-        """A level, and how many of its texels were fitted; fills the next level's sums unless these are empty."""
+        """One level and the number of its texels that were fitted.
+
+        Args:
+            mip_level: its number.
+            size: (height, width).
+            tiles: sums of its footprints, unless it is level 0 or they are not ``known``.
+            known: whether these sums need not be gathered from the base.
+            pooled: receives the sums of the next level, unless it is empty.
+        """
         height, width = size
         texels = height * width
         output, strange, some = make_output(texels), np.zeros(texels, np.bool_), np.zeros(texels, np.bool_)
@@ -158,7 +168,7 @@ class _Bake:
         return Level(_image_of(output, size, self.svbrdf, self.options), output.status.reshape(size)), len(index)
 
     def _fit(self, mip_level: int, size: tuple[int, int], index: NDArray, output: Output) -> None:
-        """Fit texels of a level (flat indices)."""
+        """Fit the texels ``index`` (flat indices) of a level and write them to ``output``."""
         quality, model = get_quality(self.options.quality), get_model(MODEL)
         rules = level_rules(self.filter, self.svbrdf.size, size, mip_level, quality)
         search = search_settings(_fit_options(self.options), quality, self.base, model, model)
@@ -176,7 +186,7 @@ class _Bake:
 
 
 def _image_of(output: Output, size: tuple[int, int], svbrdf: Svbrdf, options: LobeOptions) -> Svbrdf:
-    """A level of flat outputs; occlusion is averaged."""
+    """The level (height, width) of flat outputs, with averaged occlusion."""
     occlusion = svbrdf.occlusion
     if occlusion is not None:
         chosen = get_pixel_filter(options.pixel_filter)

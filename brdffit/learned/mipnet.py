@@ -1,12 +1,13 @@
-"""The network behind the method ``mipnet``: four texels to one, level by level (after Gauthier et al. 2022, MIPNet).
+"""The network of the method ``mipnet``: four texels to one, level by level (after Gauthier et al. 2022, MIPNet).
 
-It says the normal and the tensor of a texel from those of the four below it; colours are averaged linearly. The next
-level is made of what it said, so it is trained through all levels at once. Own code, and small: two hidden layers of 64
-where the paper has 512, no height among the inputs, and inputs that know of widths:
+It predicts the normal and the tensor of a texel from those of the four texels below it; colours are averaged linearly.
+Each level is made from the predictions of the one before, so the network is trained through all levels at once. It is
+smaller than the paper's: two hidden layers of 64 instead of 512, and no height among the inputs. Normals are measured
+in widths of the mean lobe. With xy the normal's x and y, and abc the log tensor,
 
-    inputs: with m the mean of the four, b_k (k = 1, 2, 3) their sums with the signs of a 2x2 Haar basis, over 4, and
+    inputs: m the mean of the four, b_k (k = 1, 2, 3) their sums with the signs of a 2x2 Haar basis, over 4, and
         w = exp((m_a + m_b) / 4) the width of the mean lobe: asinh(b_k xy / w), b_k abc, m_xy, m_abc;
-    outputs d: xy = m_xy + w d_xy, cut to the disc; log tensor = m_abc + d_abc.
+    outputs d: xy = m_xy + w d_xy, shortened to the disc of radius LONGEST; log tensor = m_abc + d_abc.
 """
 
 from __future__ import annotations
@@ -25,17 +26,24 @@ from brdffit.nets.weights import read_weights, shaped
 KIND = "mipnet"
 #: Weights that the program ships.
 SHIPPED = Path(__file__).parent / "weights" / "mipnet-ggx.npz"
-#: A texel: x and y of its normal, log tensor.
+#: Numbers of a texel: x and y of its normal, log tensor.
 TEXEL = 5
 HIDDEN = (64, 64)
 INPUTS = 20
-#: Signs of the four (row by row) in the three Haar functions.
+#: Signs of the four texels (row by row) in the three Haar functions, over 4.
 _HAAR = np.array([[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0], [1.0, -1.0, -1.0, 1.0]]) / 4.0
 
 
 class Step(NamedTuple):
-    """What a level leaves for the way back: Haar sums (n, 3, TEXEL), widths (n,), outputs (n, TEXEL), xy before the
-    cut (n, 2), and what the chain keeps."""
+    """What ``MipNetwork.backward`` needs of a level.
+
+    Attributes:
+        sums: (n, 3, TEXEL) Haar sums.
+        width: (n,) widths of the mean lobes.
+        out: (n, TEXEL) outputs of the chain.
+        uncut: (n, 2) xy before they are shortened.
+        kept: what the chain keeps.
+    """
 
     sums: NDArray
     width: NDArray
@@ -45,13 +53,13 @@ class Step(NamedTuple):
 
 
 class MipNetwork:
-    """The chain of dense layers; untrained it averages."""
+    """The chain of dense layers; with its initial weights it averages."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.chain = DenseChain((INPUTS, *HIDDEN, TEXEL), rng, last_gain=0.0)
 
     def forward(self, four: NDArray, keep: bool = False) -> tuple[NDArray, Step]:
-        """Texels (n, TEXEL) float64 of four each (n, 4, TEXEL), and what ``backward`` needs if ``keep``."""
+        """Texels (n, TEXEL) float64 from four each (n, 4, TEXEL), and, with ``keep``, what ``backward`` needs."""
         mean, sums = four.mean(axis=1), np.einsum("kf,nfc->nkc", _HAAR, four)
         width = np.exp(0.25 * (mean[:, 2] + mean[:, 3]))
         spread = np.arcsinh(sums[:, :, :2] / width[:, None, None])
@@ -66,7 +74,7 @@ class MipNetwork:
     def backward(self, by_texel: NDArray, step: Step) -> NDArray:
         """dL/d(four) (n, 4, TEXEL) from dL/d(texels); adds to the gradient.
 
-        With v = xy / w, d asinh(v) = dv / sqrt(1 + v^2), and dw = w (da + db) / 4 by the mean.
+        With v = b_k xy / w, d asinh(v) = dv / sqrt(1 + v^2); and dw = w (dm_a + dm_b) / 4.
         """
         width = step.width[:, None]
         by_xy = by_texel[:, :2]
@@ -89,12 +97,12 @@ class MipNetwork:
         return 0.25 * by_mean[:, None] + np.einsum("kf,nkc->nfc", _HAAR, by_sums)
 
     def arrays(self) -> dict[str, NDArray]:
-        """All that must be kept, for ``write_weights``."""
+        """The arrays of a file of weights, by name."""
         return {"chain": self.chain.weights}
 
     @classmethod
     def of(cls, arrays: dict[str, NDArray], path: Path) -> MipNetwork:
-        """The network that these weights are of.
+        """The network with the weights of a file.
 
         Raises:
             InputError: when they have another shape.
@@ -106,17 +114,17 @@ class MipNetwork:
 
 @cache
 def load_mipnet(path: Path = SHIPPED) -> tuple[MipNetwork, dict[str, Any]]:
-    """The network of a file, read once, and its meta.
+    """The network of a file, which is read once, and its meta.
 
     Raises:
-        InputError: for a file that is none of its kind.
+        InputError: when the file cannot be read or is of another kind or shape.
     """
     arrays, meta = read_weights(path, KIND)
     return MipNetwork.of(arrays, path), meta
 
 
 def fours(image: NDArray) -> NDArray:
-    """(h / 2 * w / 2, 4, C) blocks of an image (h, w, C) of even size, row by row."""
+    """(h / 2 * w / 2, 4, C) blocks of 2x2 texels of an image (h, w, C) of even size, row by row."""
     height, width, channels = image.shape
     blocks = image.reshape(height // 2, 2, width // 2, 2, channels).transpose(0, 2, 1, 3, 4)
     return blocks.reshape(-1, 4, channels)
@@ -130,7 +138,10 @@ def fours_back(blocks: NDArray, size: tuple[int, int]) -> NDArray:
 
 
 def taken(image: NDArray, size: tuple[int, int]) -> NDArray:
-    """(n, 4, C): the four texels of an image that are nearest to each texel of a level of another size, row by row."""
+    """(n, 4, C) four texels of an image for each texel of a level of ``size``, row by row.
+
+    They are its 2x2 block; where the image has an odd side, the texels nearest to it.
+    """
     pairs = []
     for before, after in zip(image.shape[:2], size, strict=True):
         first = np.minimum(np.arange(after) * before // after, before - 1)

@@ -1,4 +1,4 @@
-"""The method ``mipnet``: each level is predicted from four texels of the level before; colours are averaged."""
+"""The method ``mipnet``: each texel is predicted from four texels of the level before; colours are averaged."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class MipnetOptions(LobeOptions):
 
 
 class Mipnet(LobeMethod):
-    """A network from four texels to one, after Gauthier et al. 2022; level 0 stays as it is, as theirs does."""
+    """A network from four texels to one, after Gauthier et al. 2022; as theirs, it does not filter level 0."""
 
     name = "mipnet"
     summary = "normals and roughness of a level by a network from the level before (after MIPNet, Gauthier et al. 2022)"
@@ -89,7 +89,7 @@ class Mipnet(LobeMethod):
 
 
 def _said(network: MipNetwork, four: NDArray, pool: ThreadPoolExecutor) -> NDArray:
-    """Texels (n, TEXEL) of four each."""
+    """Texels (n, TEXEL) predicted from four each (n, 4, TEXEL), on all threads."""
     out = np.empty((len(four), TEXEL))
 
     def work(first: int) -> None:

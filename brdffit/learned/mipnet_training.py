@@ -1,4 +1,4 @@
-"""Training of the method ``mipnet``: a patch a step, all levels at once, L1 of tonemapped renderings."""
+"""Training of the method ``mipnet``: one patch a step, all its levels, with the L1 loss of tone-mapped renderings."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from brdffit.learned.tasks import ChainTask
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 from brdffit.svbrdf import Svbrdf
 
-#: Levels that are made of a patch, 16 x 16 to 1 x 1, and half vectors that all are seen from.
+#: Levels predicted from a patch, 16 x 16 to 1 x 1, and half vectors that all of them are rendered from.
 LEVELS, HALVES = 5, 32
-#: Longest gradient of a texel, normals in units of its lobe's width, relative to a texel's share of the loss.
+#: Longest gradient of a texel, with normals in units of its lobe's width, times the number of texels.
 _STEEPEST = 10.0
 
 
 class MipnetTask(ChainTask):
-    """A network and the sets whose patches it sees.
+    """The network and the sets that its patches are cut from.
 
     Args:
         sources, held_out: see ``SetsTask``.
@@ -48,12 +48,12 @@ class MipnetTask(ChainTask):
         self.judged = judged_patches(self.judging, rng)
 
     def accumulate(self, rng: np.random.Generator) -> float:
-        """One patch."""
+        """Add the gradient of one patch; returns its loss."""
         normal, tensor, light = self.sets[int(rng.integers(len(self.sets)))].patch(rng)
         return learn_patch(self.network, normal, tensor, light, half_vectors(HALVES, rng))
 
     def figure(self) -> float:
-        """Mean over sets and levels of the SNR."""
+        """Mean over sets and levels of the SNR in dB, on held-out sets."""
         return figure_of(self.judged, lambda svbrdf: say_levels(self.network, svbrdf))
 
     def meta(self) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def texels_of(normal: NDArray, log_roughness: NDArray) -> NDArray:
 
 
 def say_levels(network: MipNetwork, svbrdf: Svbrdf) -> list[NDArray]:
-    """Outputs (h * w, OUTPUTS) of every level of a base of even sizes, as a decoder of ``latent`` says them."""
+    """Outputs (h * w, OUTPUTS) of the levels of a base, down to the first with an odd side, as of ``latent``."""
     image, levels = texels_of(svbrdf.normal, svbrdf.log_roughness), []
     while True:
         said = np.zeros((image.shape[0] * image.shape[1], OUTPUTS))
@@ -86,7 +86,7 @@ def say_levels(network: MipNetwork, svbrdf: Svbrdf) -> list[NDArray]:
 def learn_patch(network: MipNetwork, normal: NDArray, tensor: NDArray, light: NDArray, half: NDArray) -> float:
     """Mean loss of the levels of a patch (SIDE, SIDE); adds to the gradient.
 
-    What is seen of the base is averaged exactly, and the lobes of each level are held against it.
+    The rendering of the base, averaged over each footprint, is the truth for the lobes of each level.
     """
     kernels = model_kernels("ggx", "ggx")
     image = texels_of(normal, tensor)
@@ -122,8 +122,11 @@ def lobes_of(texels: NDArray) -> NDArray:
 
 
 def rendered_loss(texels: NDArray, scale: NDArray, half: NDArray, truth: NDArray) -> tuple[float, NDArray]:
-    """Mean loss of texels (n, TEXEL) of these scales (n,) seen from ``half`` (3, J) where ``truth`` (n, J) should be
-    seen, and its gradient: with m = -xy / z, dm/dxy = -(I + m m') / z."""
+    """Mean loss of texels (n, TEXEL) with scales (n,), and its gradient (n, TEXEL).
+
+    They are rendered from ``half`` (3, J) and compared with ``truth`` (n, J). With slopes m = -xy / z,
+    dm/dxy = -(I + m m') / z.
+    """
     kernels = model_kernels("ggx", "ggx")
     theta, by_theta = lobes_of(texels), np.zeros((len(texels), 5))
     low = 4.0 * math.log(DEFAULT_MIN_ROUGHNESS)
@@ -142,7 +145,7 @@ def rendered_loss(texels: NDArray, scale: NDArray, half: NDArray, truth: NDArray
 
 @cache
 def _tonemapped_kernel() -> Any:
-    """``tonemapped_rows`` compiled for function-typed arguments; ``seen_rows`` along with it."""
+    """``tonemapped_rows``, compiled for function-typed arguments so that it can be cached on disk."""
     line, square, half = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1), np.float32)
     floats, normalisation = types.float32, log_normalisation_type
     data = tuple(map(numba_type, (square, line, half, square, 0.0, square)))

@@ -1,4 +1,4 @@
-"""The network behind the method ``learned``: features of a footprint to a correction of its closed form."""
+"""The network of the method ``learned``: from features of a footprint to a correction of its closed form."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ SHIPPED = Path(__file__).parent / "weights" / "learned-ggx.npz"
 
 
 def difference(features: NDArray) -> NDArray:
-    """Factor (n,) of corrections, 0 where all lobes of a footprint are alike and the closed form is exact, else to 1.
+    """Factor (n,) of corrections, from features (n, FEATURES): 0 where all lobes of a footprint are equal, up to 1.
 
-    With x what normals take of the widened tensor's two axes, and how far sizes differ, it is x / (x + ``ALIKE``).
+    The closed form is exact where they are equal. The factor is x / (x + ``ALIKE``), with x the share of the normals'
+    covariance in the widened tensor, summed over its axes, plus measures of how far the lobes differ in size.
     """
     by_normals = np.maximum(2.0 - features[:, TENSORS] - features[:, TENSORS + 1], 0.0)
     x = by_normals + features[:, DEVIATION] + np.maximum(features[:, SHARPEST], 0.0)
@@ -33,8 +34,10 @@ def difference(features: NDArray) -> NDArray:
 class Prediction(NamedTuple):
     """Lobes of n texels.
 
-    ``theta`` (n, 5): slopes and log tensor; ``factor`` (n,): scale over the filtered colour; ``covered`` (n,): whether
-    training has seen such footprints.
+    Attributes:
+        theta: (n, 5) slopes and log tensor.
+        factor: (n,) scale over the filtered colour.
+        covered: (n,) bool, whether all features lie in the range of the training data.
     """
 
     theta: NDArray
@@ -46,28 +49,29 @@ class ResidualNetwork:
     """A chain of dense layers on normalised features.
 
     Attributes:
-        mean, deviation: (FEATURES,) of the training set.
-        low, high: (FEATURES,) range that training covered.
+        hidden: sizes of the hidden layers.
+        mean, deviation: (FEATURES,) of the training data.
+        low, high: (FEATURES,) range of the training data.
         chain: the layers.
     """
 
     def __init__(self, hidden: tuple[int, ...], rng: np.random.Generator) -> None:
         self.hidden = hidden
-        # The last layer starts at 0: an untrained network is the closed form.
+        # The last layer starts at 0, so that an untrained network returns the closed form.
         self.chain = DenseChain((FEATURES, *hidden, OUTPUTS), rng, last_gain=0.0)
         self.mean, self.deviation = np.zeros(FEATURES), np.ones(FEATURES)
         self.low, self.high = np.full(FEATURES, -np.inf), np.full(FEATURES, np.inf)
 
     def cover(self, features: NDArray) -> None:
-        """Take normalisation and range from training features (n, FEATURES)."""
+        """Set normalisation and range from training features (n, FEATURES)."""
         self.mean, self.deviation = features.mean(axis=0), features.std(axis=0) + 1e-3
-        # Signs mean nothing: the range of a feature that turns about with an axis is symmetric.
+        # Quantiles with a margin: a few outliers must not widen the range.
         low, high = np.quantile(features, (0.001, 0.999), axis=0)
         margin = 0.05 * (high - low) + 1e-3
         self.low, self.high = low - margin, high + margin
 
     def normalised(self, features: NDArray) -> NDArray:
-        """Inputs of the chain, float32."""
+        """Inputs (n, FEATURES) float32 of the chain."""
         return np.clip((features - self.mean) / self.deviation, -FARTHEST, FARTHEST).astype(np.float32)
 
     def predict(self, moments: NDArray) -> Prediction:
@@ -80,7 +84,7 @@ class ResidualNetwork:
         return Prediction(compose(closed, out[:, :CORRECTIONS]), factor, covered)
 
     def said(self, log_low: float, round_lobes: bool, free: bool, up: float) -> Said:
-        """The network for the kernel, and how its results are bounded (see ``Said``)."""
+        """The network and the bounds of its results, as the kernel takes them (see ``Said``)."""
         layers = [[layer.ins, layer.outs, layer.weights.start, layer.bias.start] for layer in self.chain.layers]
         table = np.array(layers, np.int64)
         return Said(
@@ -89,19 +93,19 @@ class ResidualNetwork:
         )  # fmt: skip
 
     def arrays(self) -> dict[str, NDArray]:
-        """All that must be kept, for ``write_weights``."""
+        """The arrays of a file of weights, by name."""
         return {
             "chain": self.chain.weights, "mean": self.mean, "deviation": self.deviation, "low": self.low,
             "high": self.high,
         }  # fmt: skip
 
     def architecture(self) -> dict[str, Any]:
-        """For the meta."""
+        """Sizes of the layers, for the meta of a file of weights."""
         return {"features": FEATURES, "hidden": list(self.hidden), "outputs": OUTPUTS}
 
     @classmethod
     def of(cls, arrays: dict[str, NDArray], meta: dict[str, Any], path: Path) -> ResidualNetwork:
-        """The network that these weights are of.
+        """The network with the weights of a file.
 
         Raises:
             InputError: when they are of another architecture.
@@ -116,10 +120,10 @@ class ResidualNetwork:
 
 @cache
 def load_network(path: Path = SHIPPED) -> tuple[ResidualNetwork, dict[str, Any]]:
-    """The network of a file, read once, and its meta.
+    """The network of a file, which is read once, and its meta.
 
     Raises:
-        InputError: for a file that is none of its kind.
+        InputError: when the file cannot be read or is of another kind or shape.
     """
     arrays, meta = read_weights(path, KIND)
     return ResidualNetwork.of(arrays, meta, path), meta

@@ -1,13 +1,13 @@
-"""A lobe as the closed form and a correction in its own frame.
+"""A lobe as a closed form and a correction in the frame of that closed form.
 
 With the closed form's normal n, axes p and q and eigenvalues l_1, l_2 (``moments``), a correction d (5,) gives
 
     v = n + d_0 sqrt(l_1) p + d_1 sqrt(l_2) q,   slopes m = -(v_x, v_y) / v_z,
     log Sigma = log Sigma_0 + Q [[d_2, d_4], [d_4, d_3]] Q',   Q = (p, q) in the tangent plane.
 
-d = 0 leaves the closed form as it is. The normal is moved by lobe widths, the tensor by factors, so a correction of a
-given size means the same for a sharp lobe and a dull one. v_z is kept above a sliver; there the derivative is as if it
-were not.
+d = 0 leaves the closed form unchanged. Normals move in units of lobe widths and tensors by factors, so a correction of
+a given size means the same for sharp and for dull lobes. v_z is bounded below so that slopes do not exceed
+STEEPEST_SLOPE; ``pull_back`` ignores that bound.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from brdffit.halfangle.closed_forms import STEEPEST_SLOPE
 from brdffit.learned.kernels.moments import FIRST, LOG_TENSOR, NORMAL, ROOTS, SECOND, TURN
 
-#: Numbers of a correction.
+#: Size of a correction.
 CORRECTIONS = 5
-#: What changes sign when the first axis, or the second, is turned about.
+#: Components that change sign when the first axis, or the second, is reversed.
 FIRST_ODD, SECOND_ODD = (0, 4), (1, 4)
 
 

@@ -24,20 +24,20 @@ BATCH = 4096
 #: Texels of the training table.
 TEXELS = 160_000
 HIDDEN = (32, 32)
-# The loss of a texel is log(e + this): its error counts relative to itself down to there.
+# The loss of a texel is log(e + this): errors above it count relative to themselves.
 _FLOOR = 0.02
-#: Longest gradient of a texel: a few texels whose walls are steep shall not decide a step.
+#: Longest gradient of a texel, so that a few texels with steep errors do not dominate a step.
 _STEEPEST = 3.0
 _HELD_OUT_LEVELS, _HELD_OUT_TEXELS = (1, 2, 3, 4, 5), 200
 
 
 class ResidualTask(ChainTask):
-    """A network, its training table, and the footprints that it never sees.
+    """The network, its training table, and held-out footprints.
 
     Args:
         sources, held_out: see ``SetsTask``.
         seed: of initial weights and of the table.
-        texels: of the table.
+        texels: approximate number of footprints of the table.
     """
 
     kind, rates = KIND, (3e-3, 3e-5)
@@ -59,7 +59,7 @@ class ResidualTask(ChainTask):
         ]
 
     def accumulate(self, rng: np.random.Generator) -> float:
-        """One batch of random texels, axes turned about at random."""
+        """Add the gradient of one batch of random texels, with axes reversed at random; returns its loss."""
         index = rng.integers(0, len(self.table), BATCH)
         inputs, closed = self.inputs[index].copy(), self.closed[index]
         signs = np.repeat(self.difference[index], OUTPUTS, axis=1)
@@ -78,7 +78,7 @@ class ResidualTask(ChainTask):
         return loss
 
     def figure(self) -> float:
-        """Mean over sets and levels of the SNR."""
+        """Mean over sets and levels of the SNR in dB, on held-out sets."""
         return float(np.mean([-10.0 * np.log10(np.mean(error_of(self.network, table))) for table in self.judged]))
 
     def meta(self) -> dict[str, Any]:
@@ -94,11 +94,11 @@ class ResidualTask(ChainTask):
 
 
 def loss_of(table: Table, index: NDArray, closed: NDArray, out: NDArray) -> tuple[float, NDArray]:
-    """Mean loss of outputs (n, OUTPUTS) and its gradient a texel (not divided by n).
+    """Mean loss of outputs (n, OUTPUTS), and the gradient of each texel's loss (n, OUTPUTS), not divided by n.
 
-    The scale is learned beside the lobe: with k = exp(s) times the filtered colour's length and k* the best scale, the
-    error at k is e + w (k - k*)^2, e that at the best scale. The lobe follows e alone, s the square alone, both
-    weighted by 1 / (e + floor).
+    The scale is learned separately from the lobe. With k = exp(s) times the length of the filtered colour and k* the
+    best scale, the error at k is e + w (k - k*)^2, where e is the error at the best scale. The lobe gets the gradient
+    of e alone and s that of the square alone, both weighted by 1 / (e + floor).
     """
     d = np.clip(out[:, :CORRECTIONS], -MOST, MOST)
     found = errors_of(table, index, compose(closed, d))
@@ -111,14 +111,14 @@ def loss_of(table: Table, index: NDArray, closed: NDArray, out: NDArray) -> tupl
     gradient[:, :CORRECTIONS] *= np.minimum(1.0, _STEEPEST / np.maximum(length, 1e-12))
     scale = table.colour[index] * np.exp(np.clip(out[:, CORRECTIONS], -2.0, 2.0))
     wrong = scale - found.scale
-    # A scale far off would swamp the rest: the square goes over into a line.
+    # Clipping turns the squared error into a linear one where the scale is far off, so that it does not dominate.
     by_scale = 2.0 * np.clip(found.weight * weight * wrong * scale, -1.0, 1.0)
     gradient[:, CORRECTIONS] = np.where(fine, by_scale, 0.0)
     return float(np.mean(np.log(error + _FLOOR))), gradient
 
 
 def error_of(network: ResidualNetwork, table: Table) -> NDArray:
-    """Error (n,) of the network's lobes and scales on a table."""
+    """Relative squared errors (n,) of the network's lobes, with its scales, on a table."""
     predicted = network.predict(table.moments)
     found = errors_of(table, np.arange(len(table)), predicted.theta)
     return np.clip(found.error, 0.0, None) + found.weight * (table.colour * predicted.factor - found.scale) ** 2

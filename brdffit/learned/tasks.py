@@ -1,4 +1,4 @@
-"""What the trainings of `learned`, `latent` and `mipnet` share: their sets, and what a file of weights says of them."""
+"""Shared by the trainings of `learned`, `latent` and `mipnet`: their sets, and the provenance in a file of weights."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class SetsTask:
 
     Args:
         sources: sets to train on.
-        held_out: sets for the figure; with none, it is that of the training sets.
+        held_out: sets that the figure is measured on; if there are none, it is measured on the training sets.
     """
 
     def __init__(self, sources: Sequence[str | Path], held_out: Sequence[str | Path]) -> None:
@@ -27,11 +27,11 @@ class SetsTask:
 
     @property
     def judging(self) -> list[Path]:
-        """Sets that the figure is of."""
+        """Sets that the figure is measured on."""
         return self.held_out or self.sources
 
     def provenance(self) -> dict[str, Any]:
-        """The sets, and the licence that follows from them."""
+        """Names and digests of the sets, and the licence of the sets that the shipped weights were trained on."""
         return {
             "training_sets": {each.name: set_digest(each) for each in self.sources},
             "held_out_sets": [each.name for each in self.held_out],
@@ -40,23 +40,23 @@ class SetsTask:
 
 
 class ChainTask(SetsTask):
-    """A training of one chain of layers, ``network.chain``; the rate falls from ``rates[0]`` to ``rates[1]``."""
+    """A training of one chain of layers, ``network.chain``, with a learning rate from ``rates[0]`` to ``rates[1]``."""
 
     network: Any
     rates: ClassVar[tuple[float, float]]
 
     def networks(self) -> dict[str, Network]:
-        """The chain."""
+        """The chain of the network."""
         return {"chain": self.network.chain}
 
     def optimiser(self, size: int) -> Adam:
-        """Adam with a short memory."""
+        """Adam with its default parameters here, betas of 0.9 and 0.99."""
         return Adam(size)
 
     def rate(self, step: int, done: float) -> float:
-        """Warm up, hold for the first half, then fall geometrically."""
+        """See ``warm_then_falling``."""
         return warm_then_falling(step, done, *self.rates)
 
     def arrays(self) -> dict[str, NDArray]:
-        """Of the network."""
+        """Arrays of the network."""
         return self.network.arrays()

@@ -65,7 +65,7 @@ class Task(Protocol):
 
 
 def warm_then_falling(step: int, done: float, rate: float, last: float, warm: int = 100) -> float:
-    """Learning rate: rises linearly to ``rate`` over ``warm`` steps; falls geometrically to ``last`` from half on."""
+    """Learning rate: rises linearly to ``rate`` over ``warm`` steps, falls geometrically to ``last`` from half on."""
     fall = 1.0 if done < 0.5 else (last / rate) ** ((done - 0.5) / 0.5)
     return rate * min(1.0, (step + 1) / warm) * fall
 

@@ -1,1 +1,1 @@
-"""Neural materials (Kuznetsov et al. 2021, NeuMIP): pyramids of learned textures read by a small network."""
+"""Neural materials (Kuznetsov et al. 2021, NeuMIP): pyramids of learned features, decoded by a small network."""

@@ -1,4 +1,4 @@
-"""The commands ``brdffit neural ...``: they parse and call; heavy imports stand inside them."""
+"""The commands ``brdffit neural ...``. They parse options and call; heavy imports stand inside the functions."""
 
 from __future__ import annotations
 

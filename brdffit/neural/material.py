@@ -1,7 +1,8 @@
-"""A neural material on disk, and as an ``Appearance`` that the renderer draws.
+"""Neural materials on disk, and as an ``Appearance`` that the renderer draws.
 
-The file is an .npz of arrays: ``pyramid.0`` ... (h, w, 7) and ``offset_texture`` (h, w, 7) in float16, and in float32
-``decoder.0.weight`` (inputs, outputs), ``decoder.0.bias`` and so on, with ``meta`` (see ``brdffit.nets.weights``).
+The file is an .npz with ``meta`` (see ``brdffit.nets.weights``). In float16 it holds ``pyramid.0``, ``pyramid.1`` ...
+(h, w, 7) and ``offset_texture`` (h, w, 7); in float32 ``decoder.0.weight`` (inputs, outputs), ``decoder.0.bias``
+(outputs,) and so on for each layer, and likewise ``offset.0.weight`` ...
 """
 
 from __future__ import annotations
@@ -23,15 +24,15 @@ from brdffit.neural.kernels.textures import CHANNELS, TEXEL
 from brdffit.neural.network import QUERY, Design, Network, Reader
 from brdffit.neural.questions import RADIUS, SIGMA, within_disc
 
-#: Kind of the files.
+#: Kind of the files of weights.
 KIND = "neural material"
-#: Standard deviation of the renderer's pixel filter in pixels: that of a box.
+#: Standard deviation of the renderer's box filter, in pixels.
 _PIXEL_SIGMA = 1.0 / math.sqrt(12.0)
 _LARGEST = 1 << 14
 
 
 class Features(NamedTuple):
-    """What is read once for n pixels: ``values`` (n, 8) float32, and the view's projection (n, 2) on the disc."""
+    """Features of n pixels: ``values`` (n, 8) float32, and ``view`` (n, 2), x and y of the directions to the viewer."""
 
     values: NDArray
     view: NDArray
@@ -39,16 +40,18 @@ class Features(NamedTuple):
 
 @dataclass
 class NeuralMaterial:
-    """A trained material: an ``Appearance`` (see ``brdffit.appearance``) of two stages.
+    """A trained material as an ``Appearance`` (see ``brdffit.appearance``), in two stages.
 
-    ``look_up`` reads the textures at the offset that the view asks for, and ``evaluate`` decodes that for a light: the
-    first is done once for all lights.
+    ``look_up`` reads the textures at the offset that the view gives, once for all lights; ``evaluate`` decodes the
+    features for a light.
 
     Attributes:
-        network: what was learned.
-        on_plane: whether it says pi M, the paper's quantity, or pi M times the light's cosine.
-        base: (height, width) in whose texels positions are counted; None: those of the network's level 0.
-        meta: where it comes from.
+        network: textures and weights.
+        on_plane: whether the decoder gives pi M, the paper's quantity, or else pi M times the light's cosine (M as in
+            ``microgeometry.queries``).
+        meta: provenance.
+        base: (height, width) in whose texels positions are given; None for those of level 0.
+        wrap: always "tile".
     """
 
     network: Network
@@ -64,24 +67,24 @@ class NeuralMaterial:
 
     @cached_property
     def reader(self) -> Reader:
-        """The network made ready."""
+        """The network, prepared for reading."""
         return Reader(self.network)
 
     def look_up(self, lookups: Lookups) -> Features:
-        """See ``Appearance``: the features at the offset."""
+        """See ``Appearance``: the features at the offset positions."""
         size = self.network.design.size
         scale = np.array(size[::-1]) / np.array(self.base_size[::-1])
         queries = np.zeros((len(lookups.position), QUERY), np.float32)
-        # Far from the tile's origin 32 bits would not tell positions apart; it repeats.
+        # The tile repeats; float32 would be too coarse for positions far from its origin.
         queries[:, :2] = np.mod(lookups.position * scale, size[::-1])
-        # The Gaussian that is as wide as the pixel's box.
+        # The Gaussian with the standard deviation of the pixel's box.
         queries[:, 2] = lookups.detail + math.log2(_PIXEL_SIGMA / SIGMA * math.sqrt(scale.prod()))
         view = within_disc(lookups.view[:, :2])
         queries[:, 5:7] = view
         return Features(self.reader.look_up(queries), view)
 
     def evaluate(self, texels: Features, view: NDArray, light: NDArray) -> NDArray:
-        """See ``Appearance``; lights and views beyond 78.5 degrees from the normal are taken from there."""
+        """See ``Appearance``. Directions beyond 78.5 degrees from the normal are decoded as at 78.5 degrees."""
         queries = np.zeros((len(light), QUERY), np.float32)
         queries[:, 3:5], queries[:, 5:7] = within_disc(light[:, :2]), texels.view
         found = self.reader.decode(texels.values, queries)
@@ -91,17 +94,17 @@ class NeuralMaterial:
         return np.where(view[:, 2:] > 0.0, found * (factor / np.float32(math.pi))[:, None], np.float32(0.0))
 
     def sample(self, texels: Features, view: NDArray, u: NDArray) -> NDArray:
-        """See ``Appearance``: by the cosine."""
+        """See ``Appearance``: cosine-distributed directions."""
         radius, angle = np.sqrt(u[:, 0]), 2.0 * np.pi * u[:, 1]
         return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - u[:, 0])], axis=1)
 
     def pdf(self, texels: Features, view: NDArray, light: NDArray) -> NDArray:
-        """See ``Appearance``."""
+        """See ``Appearance``: the cosine over pi."""
         return np.maximum(light[:, 2], 0.0) / np.pi
 
 
 def arrays_of(reader: Reader) -> dict[str, NDArray]:
-    """What the file of a network holds: the textures as they are read now, in 16 bits, which is finer than they are."""
+    """The arrays of a file of a network, by name: its textures with the reader's blur, in float16, and its weights."""
     network = reader.network
 
     def stored(level: NDArray) -> NDArray:
@@ -118,7 +121,7 @@ def arrays_of(reader: Reader) -> dict[str, NDArray]:
 
 
 def meta_of(network: Network, on_plane: bool) -> dict[str, Any]:
-    """What must be known to read the arrays."""
+    """Entries of the meta that reading the arrays needs."""
     design = network.design
     return {
         "kind": KIND, "size": list(design.size), "tilted": design.tilted, "with_offset": design.with_offset,
@@ -131,10 +134,10 @@ def read_material(path: Path, base: tuple[int, int] | None = None) -> NeuralMate
 
     Args:
         path: an .npz that training wrote.
-        base: size in whose texels the renderer counts positions; None: the material's own.
+        base: (height, width) in whose texels positions are given; None for those of level 0.
 
     Raises:
-        InputError: one sentence, for a file that is damaged or no neural material.
+        InputError: when the file cannot be read, is damaged, or is no neural material.
     """
     arrays, meta = read_weights(path, KIND)
     network = Network(_design_of(meta, path))

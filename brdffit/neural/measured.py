@@ -1,4 +1,4 @@
-"""A material learned from a file of measured queries, which can be asked for nothing that was not measured."""
+"""Training data from a file of measured queries, for which no new queries can be made."""
 
 from __future__ import annotations
 
@@ -13,24 +13,26 @@ from brdffit.neural.kernels.dense import ROWS
 from brdffit.neural.kernels.material import QUERY
 from brdffit.neural.questions import RADIUS, SIGMA
 
-#: One of so many queries is never learned, and the fewest that a material is learned from.
+#: One in how many queries is held out, and the fewest queries that a material can be learned from.
 _HELD, _FEWEST = 16, 16 * ROWS
 
 
 class Measured:
-    """Measured queries in texels of a material; those of directions that no material has are left out.
+    """Measured queries, with positions in texels of the neural material.
+
+    Queries with a direction beyond ``RADIUS`` on the disc are left out, since the material does not represent those.
 
     Args:
-        found: of ``read_queries``.
-        size: (height, width) of level 0; the same tile.
-        on_plane: targets are pi M, as the paper, instead of pi M times the light's cosine.
+        found: from ``read_queries``.
+        size: (height, width) of level 0, which covers the same tile.
+        on_plane: targets are pi M, as in the paper, instead of pi M times the light's cosine.
 
     Attributes:
-        queries, targets: (n, QUERY) and (n, 3) float32 that are learned.
-        held, held_targets: of those that are never learned.
+        queries, targets: (n, QUERY) and (n, 3) float32, for training.
+        held, held_targets: the same of queries that are held out.
 
     Raises:
-        InputError: when too few are left.
+        InputError: when too few queries are left.
     """
 
     def __init__(self, found: Queries, size: tuple[int, int], on_plane: bool = False) -> None:
@@ -54,15 +56,15 @@ class Measured:
         self.held, self.held_targets = queries[order[:share]], targets[order[:share]].astype(np.float32)
 
     def batch(self, count: int, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
-        """``count`` queries that are learned, and their targets, at random but in the order of rows."""
+        """``count`` random training queries (n, QUERY), sorted by row, and their targets (n, 3)."""
         drawn = rng.integers(len(self.queries), size=count)
         drawn = drawn[np.argsort(self.queries[drawn, 1], kind="stable")]
         return self.queries[drawn], self.targets[drawn]
 
     def judged(self, level: int) -> tuple[NDArray, NDArray]:
-        """Of what is never learned, that of the level nearest to this one: queries (n, QUERY), and truths (2, n, 3).
+        """Held-out queries (n, QUERY) of the measured level nearest to this one, and truths (2, n, 3).
 
-        A measurement is had once, so that its noise counts as error.
+        There is only one measurement of each, so both truths are the same and its noise counts as error.
         """
         levels = np.rint(self.held[:, 2])
         nearest = levels[np.argmin(np.abs(levels - level))]

@@ -1,4 +1,4 @@
-"""The method ``neural``: a material learned from the traced surface, for comparisons that are asked for it by name."""
+"""The method ``neural``: a material learned from the traced surface; comparisons include it only when it is named."""
 
 from __future__ import annotations
 
@@ -39,12 +39,16 @@ class Neural:
     options = NeuralOptions
 
     def prepare(self, material: Material, options: NeuralOptions) -> None:
-        """Refuse what has no height."""
+        """Check that there is a height map to learn from, or a file.
+
+        Raises:
+            InputError: when there is neither.
+        """
         if material.height is None and options.file is None:
             raise InputError("The method 'neural' learns a traced height map and this material has none.")
 
     def bake(self, material: Material, options: NeuralOptions, progress: Progress | None = None) -> Baked:
-        """Learn it, or read the file; see ``Method``."""
+        """Learn the material, or read it from the file; see ``Method``. The result has no lobes."""
         self.prepare(material, options)
         if options.file is not None:
             learned = read_material(Path(options.file), material.size)

@@ -1,7 +1,7 @@
-"""What is learned of one material, and how it goes through a batch: gradients in a fixed number of parts.
+"""Parameters of a neural material, their evaluation for batches of queries, and their gradients.
 
-A batch is cut into ``PARTS`` parts that never depend on the number of threads. Each has its own gradients, which are
-summed in their order: the same seed gives the same bytes on any number of threads (of one kind of processor).
+A batch is cut into ``PARTS`` parts, whatever the number of threads. Each part has its own gradients, which are summed
+in a fixed order, so the same seed gives the same bytes for any number of threads (on one kind of processor).
 """
 
 from __future__ import annotations
@@ -31,18 +31,19 @@ from brdffit.neural.pyramid import Layout
 
 #: Parts of a batch, each with gradients of its own.
 PARTS = 8
-#: Reach of an offset of 1, as a share of the longer side of the tile.
+#: Shift by an offset of 1 for a view of slope 1, as a share of the longer side of the tile.
 _REACH = 0.05
 
 
 @dataclass(frozen=True)
 class Design:
-    """How a material is built.
+    """Architecture of a material.
 
     Attributes:
         size: (height, width) of level 0 in texels, powers of two.
-        tilted: directions seen from a tilt that the texel learns, instead of those of light and view.
-        with_offset: whether the texture is read at a learned parallax offset.
+        tilted: whether the decoder gets directions relative to a tilt that each texel learns, instead of those of light
+            and view as they are.
+        with_offset: whether the pyramid is read at a learned parallax offset.
     """
 
     size: tuple[int, int]
@@ -61,18 +62,19 @@ class Design:
 
     @property
     def weights(self) -> int:
-        """How many weights the networks have."""
+        """Number of weights and biases of the networks."""
         return sum((ins + 1) * outs for layers in self.layers.values() for ins, outs in layers)
 
 
 class Network:
-    """The parameters: textures without repeated texels, and networks as their kernels read them.
+    """The parameters: textures without repeated texels, and networks in the layout of the kernels.
 
     Attributes:
-        design: how it is built.
-        pyramid: (floats,) float32, 8 a texel of all levels; the eighth is 0.
-        offset_texture: the same of level 0.
-        decoder, offset: (4 * MATRIX,) float32.
+        design: the architecture.
+        layout, base: layouts of the pyramid and of the offset texture.
+        pyramid: flat float32, 8 numbers for each texel of all levels; the eighth is 0.
+        offset_texture: the same for one texture of the size of level 0.
+        decoder, offset: (LAYERS * MATRIX,) float32.
     """
 
     def __init__(self, design: Design, seed: int = 0) -> None:
@@ -105,11 +107,11 @@ class Network:
 
     @property
     def reach(self) -> NDArray:
-        """(2,) float32: by how many texels across and down an offset of 1 shifts, for a view of slope 1."""
+        """(2,) float32: shift in texels, across and down, by an offset of 1 for a view of slope 1."""
         return np.full(2, _REACH * max(self.design.size), np.float32)
 
     def parameters(self) -> dict[str, NDArray]:
-        """What is trained, by name."""
+        """Arrays that are trained, by name."""
         found = {"pyramid": self.pyramid, "decoder": self.decoder}
         if self.design.with_offset:
             found |= {"offset_texture": self.offset_texture, "offset": self.offset}
@@ -123,13 +125,12 @@ def _texels(layout: Layout, rng: np.random.Generator) -> NDArray:
 
 
 class Scratch:
-    """What one part works in."""
+    """Buffers of one part of a batch."""
 
     def __init__(self) -> None:
         def blocks(count: int, pitch: int) -> tuple[NDArray, ...]:
             return tuple(np.zeros(ROWS * pitch, np.float32) for _ in range(count))
 
-        # Tiles of 16 rows of weights read a few floats behind the last row of a block.
         self.rows = blocks(6, NARROW)
         self.hidden, self.offset_hidden, self.d_hidden = blocks(3, PITCH), blocks(3, PITCH), blocks(2, PITCH)
         self.transposed = tuple(np.zeros(LAYERS * TRANSPOSED, np.float32) for _ in range(2))
@@ -140,11 +141,11 @@ class Scratch:
 
 
 class Reader:
-    """A network made ready to be read: textures through the blur, in the kernels' layout.
+    """A network prepared for reading: its textures, blurred and in the layout of the kernels.
 
     Args:
-        network: what is read.
-        threads: of a batch; None: all cores. No result depends on it.
+        network: the parameters.
+        threads: workers; None for all cores. No result depends on their number.
     """
 
     def __init__(self, network: Network, threads: int | None = None) -> None:
@@ -156,7 +157,10 @@ class Reader:
         self.refresh(0.0)
 
     def refresh(self, sigma: float, as_stored: bool = False) -> None:
-        """Read the textures through a Gaussian of ``sigma`` texels of level 0, or that as files hold it: in 16 bits."""
+        """Copy the network's textures, blurred by a Gaussian of ``sigma`` texels of level 0.
+
+        ``as_stored`` rounds them to float16, as files hold them.
+        """
         network = self.network
         jobs = [
             self.pool.submit(network.layout.read_through, network.pyramid, sigma, self.pyramid),
@@ -169,12 +173,12 @@ class Reader:
                 texture[:] = texture.astype(np.float16)
 
     def in_parts(self, count: int, work: Callable[[int, int, int], None]) -> None:
-        """Call work(part, first, last) on the parts of ``count`` blocks, on all threads."""
+        """Call work(part, first, last) for each of PARTS ranges of ``count`` items, on all threads."""
         edges = [count * k // PARTS for k in range(PARTS + 1)]
         list(self.pool.map(lambda k: work(k, edges[k], edges[k + 1]), range(PARTS)))
 
     def look_up(self, queries: NDArray) -> NDArray:
-        """(n, 8) float32: the features of queries (n, QUERY), of which the lights are not read."""
+        """(n, 8) float32 features of queries (n, QUERY); lights are not used."""
         padded = _padded(queries)
         found = np.zeros((len(padded), TEXEL), np.float32)
         network = self.network
@@ -191,7 +195,7 @@ class Reader:
         return found[: len(queries)]
 
     def decode(self, features: NDArray, queries: NDArray) -> NDArray:
-        """(n, 3) float32: what is reflected, from features (n, 8), for the directions of queries (n, QUERY)."""
+        """(n, 3) float32 outputs for features (n, 8) and the directions of queries (n, QUERY)."""
         padded, features = _padded(queries), _padded(features)
         colour = np.zeros((len(padded), 3), np.float32)
 
@@ -206,19 +210,19 @@ class Reader:
         return colour[: len(queries)]
 
     def predict(self, queries: NDArray) -> NDArray:
-        """(n, 3): both stages."""
+        """(n, 3) float32 outputs for queries (n, QUERY): ``look_up``, then ``decode``."""
         return self.decode(self.look_up(queries), queries)
 
 
 def _padded(rows: NDArray) -> NDArray:
-    """Rows repeated at the end to whole blocks, float32."""
+    """Rows as float32, the last one repeated to fill whole blocks."""
     rows = np.ascontiguousarray(rows, np.float32)
     missing = -len(rows) % ROWS
     return rows if not missing else np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)])
 
 
 class Learner(Reader):
-    """A reader that also goes backward: losses and gradients of batches."""
+    """A reader that also computes losses and gradients of batches."""
 
     def __init__(self, network: Network, threads: int | None = None) -> None:
         super().__init__(network, threads)
@@ -231,17 +235,17 @@ class Learner(Reader):
         self.sigma = 0.0
 
     def refresh(self, sigma: float, as_stored: bool = False) -> None:
-        """See ``Reader``; gradients go back through the same blur."""
+        """See ``Reader``; ``accumulate`` then applies the adjoint of the same blur."""
         super().refresh(sigma, as_stored)
         self.sigma = sigma
 
     def accumulate(self, queries: NDArray, targets: NDArray, logarithmic: bool) -> tuple[float, dict[str, NDArray]]:
-        """The mean loss of a batch, a channel, and its gradient by each of the network's parameters.
+        """The loss of a batch, averaged over queries and channels, and its gradient by each of ``parameters``.
 
         Args:
             queries: (n, QUERY) float32, n a multiple of ROWS.
             targets: (n, 3) float32.
-            logarithmic: the paper's loss, else the one without bias.
+            logarithmic: the paper's loss on logarithms; otherwise a loss that noise in the targets does not bias.
         """
         network = self.network
         losses = np.zeros((PARTS, 8))

@@ -1,4 +1,4 @@
-"""Where the levels of a texture stand in memory, and the periodic blur under which textures are trained."""
+"""The layout of the levels of a texture in memory, and the periodic blur of textures during training."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from brdffit.neural.kernels.textures import TEXEL, blur_level
 
-#: A blur of less, in texels, changes nothing that 32 bits of a texture would keep apart from its neighbours' noise.
+#: A Gaussian with a standard deviation below this, in texels, is left out: its neighbouring taps are below 4e-6.
 _NO_BLUR = 0.2
 
 
@@ -19,9 +19,9 @@ class Layout:
 
     Attributes:
         sizes: (height, width) of each level.
-        rooms: (levels, 3) int64: first float, width and height of each level as kernels read it, each row with its
-            first texel once more at its end.
-        floats: of all levels so.
+        rooms: (levels, 3) int64: first float, width and height of each level in the kernels' layout, in which each row
+            ends with a copy of its first texel.
+        floats: number of floats of that layout.
     """
 
     def __init__(self, size: tuple[int, int], levels: int | None = None) -> None:
@@ -34,22 +34,22 @@ class Layout:
 
     @cached_property
     def bounds(self) -> list[int]:
-        """First float of each level where no texel is repeated, and the end."""
+        """First float of each level, and the end, in the layout without repeated texels."""
         return np.cumsum([0, *(h * w * TEXEL for h, w in self.sizes)]).tolist()
 
     @property
     def learned(self) -> int:
-        """Floats of all levels where no texel is repeated."""
+        """Number of floats of the layout without repeated texels."""
         return self.bounds[-1]
 
     def read_through(self, texture: NDArray, sigma: float, out: NDArray) -> None:
-        """``texture`` (learned,) blurred and laid out for kernels, into ``out`` (floats,).
+        """Write ``texture``, blurred and in the kernels' layout, to ``out``.
 
         Args:
-            texture: texels without repetition.
-            sigma: standard deviation of the periodic Gaussian in texels of level 0; each level is blurred by as much of
-                the tile.
-            out: what is written.
+            texture: (learned,) float32, without repeated texels.
+            sigma: standard deviation of the periodic Gaussian, in texels of level 0; it covers the same part of the
+                tile on every level.
+            out: (floats,) float32.
         """
         for k, (height, width) in enumerate(self.sizes):
             taps = tuple(
@@ -62,7 +62,10 @@ class Layout:
             blur_level(source, out, self.rooms[k], taps, scratch, padded)
 
     def pull_back(self, gradient: NDArray, sigma: float) -> NDArray:
-        """The gradient by ``texture`` (learned,) from that by what ``read_through`` wrote: it is its own adjoint."""
+        """The gradient by ``texture`` (learned,) from that by ``out`` (floats,) of ``read_through``.
+
+        The blur is symmetric and therefore its own adjoint; repeated texels are added to the first of their row.
+        """
         texels = np.empty(self.learned, np.float32)
         for k, rows in enumerate(self.levels(gradient)):
             own = texels[self.bounds[k] : self.bounds[k + 1]].reshape(*self.sizes[k], TEXEL)
@@ -75,7 +78,7 @@ class Layout:
         return np.concatenate([rows[:, :-1].reshape(-1) for rows in self.levels(out)])
 
     def levels(self, laid_out: NDArray) -> list[NDArray]:
-        """Views (h, w + 1, 8) of each level in the kernels' layout; the last column is the first once more."""
+        """Views (h, w + 1, 8) of each level in the kernels' layout; the last column repeats the first."""
         return [
             laid_out[first : first + height * (width + 1) * TEXEL].reshape(height, width + 1, TEXEL)
             for (first, _, _), (height, width) in zip(self.rooms.tolist(), self.sizes, strict=True)
@@ -83,14 +86,14 @@ class Layout:
 
 
 def periodic_taps(sigma: float, length: int) -> NDArray:
-    """Weights (odd,) float32 of a Gaussian out to 4 sigma, summed over the period if they reach around it."""
+    """Weights (odd,) float32 of a Gaussian to 4 sigma, wrapped around a period of ``length`` texels."""
     if sigma < _NO_BLUR or length == 1:
         return np.ones(1, np.float32)
     reach = math.ceil(4.0 * sigma)
     at = np.arange(-reach, reach + 1)
     weights = np.exp(-0.5 * (at / sigma) ** 2)
     if len(at) > length:
-        # The texel half a period away is reached from both sides, by half from each.
+        # The texel half a period away occurs at both ends, with half its weight at each.
         half = length // 2
         around = np.bincount(at % length, weights, length)
         weights = around[np.arange(-half, half + 1) % length]

@@ -18,9 +18,9 @@ from brdffit.neural.kernels.material import QUERY
 from brdffit.neural.material import NeuralMaterial
 from brdffit.neural.questions import Answers, directions, error_of
 
-#: Pixels of a picture's side, and around it.
+#: Pixels of a picture's side, between pictures, and of a line of text.
 _SIDE, _GAP, _TITLE = 144, 6, 18
-#: The view, 45 degrees from the normal, and the light a little to the left (projected, +Y up).
+#: Projected directions (+Y up) of the view, 45 degrees from the normal, and of the light, up and to the left.
 _VIEW = (0.0, -math.sqrt(0.5))
 _LIGHT = (-0.45, 0.25)
 #: Most samples a pixel of the truth.
@@ -29,7 +29,7 @@ _TIMES = 4.0
 
 
 class LevelFigures(NamedTuple):
-    """Of one level's pictures: mean squared error without the noise of the truth, and the SNR in dB."""
+    """Mean squared error of one level's picture, without the noise of the truth, and its SNR in dB."""
 
     mse: float
     snr_db: float
@@ -38,7 +38,8 @@ class LevelFigures(NamedTuple):
 def level_queries(size: tuple[int, int], level: int, side: int = _SIDE) -> NDArray:
     """Queries (side * side, QUERY) of a picture whose pixels are as wide as a texel of this level.
 
-    The plane is seen without perspective from 45 degrees below: a pixel covers 1.41 times as much of it down as across.
+    The view is orthographic, at 45 degrees from the normal, so a pixel covers 1.41 times as much of the plane down as
+    across.
     """
     row, column = np.divmod(np.arange(side * side), side)
     queries = np.zeros((side * side, QUERY), np.float32)
@@ -53,10 +54,16 @@ def level_queries(size: tuple[int, int], level: int, side: int = _SIDE) -> NDArr
 def draw_sheet(
     material: NeuralMaterial, answers: Answers | None, path: Path, samples: int = _SAMPLES
 ) -> list[LevelFigures]:
-    """Write the sheet as a PNG; without answers it shows the material alone.
+    """Write the sheet as a PNG; without ``answers`` it shows the material alone.
+
+    Args:
+        material: what is drawn.
+        answers: the truth.
+        path: the PNG.
+        samples: of each pixel of the truth.
 
     Returns:
-        Figures of each level, where there is a truth.
+        Figures of each level; empty without ``answers``.
 
     Raises:
         OutputError: when it cannot be written.
@@ -66,7 +73,7 @@ def draw_sheet(
     for level in range(len(material.network.layout.sizes)):
         queries = level_queries(size, level)
         height = directions(queries)[0][:, 2:]
-        # Both in units in which a white surface that faces the light is 1.
+        # Both are scaled so that a white diffuse surface facing the light has the value 1.
         seen = material.reader.predict(queries) * (height if material.on_plane else 1.0)
         shown, title = [seen], f"level {level}"
         if answers is not None:
@@ -101,7 +108,7 @@ def _composed(columns: list[list[NDArray]], titles: list[str]) -> NDArray:
 
 
 def _write(path: Path, pixels: NDArray) -> None:
-    """A PNG in full or not at all."""
+    """Write a PNG in full or not at all."""
     fresh = path.with_name(f".{path.stem}.{os.getpid()}.png")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What a neural material is learned from: a texture set with a height map, traced, or a file of queries."""
+"""Sources that a neural material is learned from: a texture set whose height map is traced, or a file of queries."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from brdffit.neural.questions import Answers
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.reading import read_texture_set
 
-#: Sides of level 0 that can be learned.
+#: Smallest and largest side of level 0 that can be learned.
 _LEAST, _MOST = 4, 4096
-#: Queries a texel of the paper's training.
+#: Queries for each texel in the paper's training.
 _PAPER_QUERIES = 220
 
 
 class Opened(NamedTuple):
-    """A source, the size of level 0, what the file of weights says of them, and sentences for the user."""
+    """A source, (height, width) of level 0, entries for the meta of the file of weights, and sentences for the user."""
 
     source: QuerySource | Queries
     size: tuple[int, int]
@@ -33,14 +33,14 @@ class Opened(NamedTuple):
 def open_source(
     path: Path, side: int, reading: Mapping[str, Any], bounces: int = 0, threads: int | None = None
 ) -> Opened:
-    """What answers queries of a texture set, and the size at which it is learned.
+    """Open a source of queries, and choose the size at which it is learned.
 
     Args:
         path: a texture set with a height map, or an .npz of measured queries.
         side: texels of the longer side of level 0.
         reading: how the set is read, see ``brdffit.textures.reading``.
-        bounces: how often light goes from the surface to itself.
-        threads: None: all cores.
+        bounces: how often light may be reflected from the surface to itself.
+        threads: workers; None for all cores.
 
     Raises:
         InputError: when the set cannot be read or has no height map, the file holds no queries, or the size cannot be
@@ -77,7 +77,9 @@ def open_traced(path: Path, reading: Mapping[str, Any], bounces: int = 0, thread
 
 
 def learned_size(source: tuple[int, int], side: int) -> tuple[tuple[int, int], list[str]]:
-    """Level 0 for a tile of ``source`` (height, width) texels, its longer side ``side``: powers of two, and notes.
+    """Size of level 0, powers of two, for a tile of ``source`` (height, width) texels and a longer side of ``side``.
+
+    Also returns notes for the user.
 
     Raises:
         InputError: for a side that cannot be learned.
@@ -99,12 +101,18 @@ def learned_size(source: tuple[int, int], side: int) -> tuple[tuple[int, int], l
 
 
 def answers_for(material: NeuralMaterial, truth: Path | None) -> Answers | None:
-    """The truth of a material: of the set given, or of what it was learned from; None where that is gone."""
+    """The truth of a material: traced from the set ``truth``, or from the set that it was learned from.
+
+    None where that set is not there, or the material was learned from measured queries.
+
+    Raises:
+        InputError: when the set cannot be read or has no height map.
+    """
     meta = material.meta
     reading, path = {}, truth
     if truth is None:
         reading, path = dict(meta.get("reading") or {}), Path(str(meta.get("source", "")))
-        # Measured queries answer nothing but themselves.
+        # Measured queries cannot answer new ones.
         if not path.exists() or "source" not in meta or path.suffix.lower() == ".npz":
             return None
     assert path is not None
@@ -113,7 +121,7 @@ def answers_for(material: NeuralMaterial, truth: Path | None) -> Answers | None:
 
 
 def describe(material: NeuralMaterial, path: Path) -> list[str]:
-    """Sentences on a material and its file."""
+    """Lines that describe a material and its file."""
     meta, design = material.meta, material.network.design
     height, width = design.size
     how = "as the paper" if meta.get("paper") else "with a learned tilt"

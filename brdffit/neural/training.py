@@ -1,9 +1,10 @@
-"""Training of a neural material: fresh queries, a blur that fades, a figure on queries that are never learned.
+"""Training of a neural material: random queries, textures under a blur that shrinks, a figure on held-out queries.
 
-As the paper (``paper=True``): a fixed set of queries of 64 samples each, directions as they are, the loss of
-logarithms, the blur 8 texels wide at first and halved every ninth of the training. By default directions are seen from
-a learned tilt, the loss has no bias, so that one sample a query is enough, queries are always new (each is learned a
-few times, for tracing one takes longer than learning it), and the blur is gone by half of the training.
+As the paper (``paper=True``): a fixed set of queries of 64 samples each, directions as they are, a loss on logarithms,
+and a blur of 8 texels at first, halved with every ninth of the training. By default the decoder gets directions
+relative to a learned tilt; the loss is not biased by noise, so that one sample a query is enough; new queries are made
+all the time, each used in a few steps since tracing takes longer than learning; and the blur ends at half of the
+training.
 """
 
 from __future__ import annotations
@@ -27,37 +28,38 @@ from brdffit.neural.measured import Measured
 from brdffit.neural.network import PARTS, Design, Learner, Network
 from brdffit.neural.questions import Answers, batch_of, directions, error_of, random_queries
 
-#: Learning rates of networks and of textures, and what they fall to in the second half.
+#: Learning rates of networks and of textures, and the factor that they fall by in the second half.
 _RATE, _TEXTURE_RATE, _LAST = 3e-3, 1e-2, 0.01
-#: One rate of the paper's training.
+#: The paper's learning rate, for networks and textures.
 _PAPER_RATE = 1e-3
-#: How often a batch is learned, by how many batches are kept to draw from.
+#: Steps for each new batch, and largest number of batches that are kept to draw from.
 _LEARNED, _KEPT = 4, 12
-#: Queries a texel and samples a query of the paper's fixed set.
+#: Queries for each texel, and samples for each query, of the paper's fixed set.
 _PAPER_QUERIES, _PAPER_SAMPLES = 220, 64
-#: First blur in texels.
+#: Standard deviation of the blur at first, in texels of level 0.
 _BLUR = 8.0
-#: Queries a level of the figure, and samples of each.
+#: Held-out queries of each level, and samples of each.
 _JUDGED, _JUDGED_SAMPLES = 4096, 64
 _SEED_OF_FIGURE = 1 << 40
 
 
 @dataclass
 class Trained:
-    """Parameters of one name as the training loop sees them."""
+    """One array of parameters and its gradient, as the training loop takes them."""
 
     weights: NDArray
     gradient: NDArray
 
 
 class Held:
-    """Queries that are never learned, at each level, with the mean of many samples, or as they were measured.
+    """Held-out queries of each level with their truths: means of many samples, or measurements.
 
     Args:
-        answers: what is asked.
-        size: of level 0.
-        count, samples: a level.
-        on_plane: whether answers are pi M.
+        answers: gives the truths.
+        size: (height, width) of level 0.
+        count: queries of each level.
+        samples: of each query.
+        on_plane: whether answers are pi M instead of pi M times the light's cosine.
     """
 
     def __init__(
@@ -77,7 +79,7 @@ class Held:
             self.truth.append(answers.twice(self.queries[-1], _SEED_OF_FIGURE + 1000 * level, samples))
 
     def errors(self, learner: Learner) -> tuple[NDArray, NDArray]:
-        """(mean squared error, mean square of the truth) of each level; a white surface facing the light is 1."""
+        """(levels,) mean squared errors and mean squares of the truth; a white surface facing the light has value 1."""
         found = []
         for queries, truth in zip(self.queries, self.truth, strict=True):
             factor = directions(queries)[0][:, 2:] if self.on_plane else 1.0
@@ -87,16 +89,19 @@ class Held:
 
 
 class NeuralTask:
-    """A material, and what is trained of it: a ``Task`` of ``brdffit.nets.training``.
+    """Training of one material: a ``Task`` of ``brdffit.nets.training``.
 
     Args:
-        source: what answers queries, or queries that were measured.
+        source: answers queries, or holds measured ones.
         size: (height, width) of level 0, powers of two.
         seed: of initial weights, queries and batches.
-        paper: exactly as the paper.
-        with_offset: whether the offset is learned.
-        threads: None: all cores; no result depends on it.
-        named: what the source is, for the file.
+        paper: train as in the paper, see the module.
+        with_offset: whether a parallax offset is learned.
+        threads: workers; None for all cores. No result depends on their number.
+        named: entries for the meta of the file that name the source.
+
+    Raises:
+        InputError: when memory does not suffice, or there are too few measured queries.
     """
 
     kind = KIND
@@ -124,17 +129,17 @@ class NeuralTask:
         self.step, self.done = 0, 0.0
 
     def networks(self) -> Mapping[str, Any]:
-        """Textures and networks."""
+        """Textures and weights, by name."""
         return self.trained
 
     def optimiser(self, size: int) -> Adam:
-        """Adam; textures learn faster than networks unless all is as in the paper."""
+        """Adam. Textures get a larger rate than networks, except in the paper's training."""
         if self.paper:
             return _Scaled(size, _PAPER_RATE / _RATE, (0.9, 0.999))
         return _Scaled(size, 1.0 if size == LAYERS * MATRIX else _TEXTURE_RATE / _RATE, (0.9, 0.99))
 
     def rate(self, step: int, done: float) -> float:
-        """Held for the first half, then falling geometrically; the paper's never falls."""
+        """Constant for the first half, then falling geometrically; in the paper's training constant throughout."""
         self.step, self.done = step, done
         if self.paper:
             return _RATE
@@ -142,11 +147,11 @@ class NeuralTask:
 
     @property
     def blur(self) -> float:
-        """Standard deviation in texels of level 0 under which textures are read now."""
+        """Standard deviation of the textures' blur now, in texels of level 0."""
         return _BLUR * 2.0 ** (-(9.0 if self.paper else 12.0) * self.done)
 
     def accumulate(self, rng: np.random.Generator) -> float:
-        """One batch: set the gradients; returns the loss."""
+        """Set the gradients to those of one batch; returns its loss."""
         self.learner.refresh(self.blur)
         queries, targets = self.batch(self._number(rng))
         loss, gradients = self.learner.accumulate(queries, targets, self.paper)
@@ -155,14 +160,17 @@ class NeuralTask:
         return loss
 
     def _number(self, rng: np.random.Generator) -> int:
-        """Which batch is learned: a new one each ``_LEARNED`` steps, else one of those that are kept."""
+        """Number of the batch of this step: a new one every ``_LEARNED`` steps, otherwise one that is kept."""
         if self.paper:
             return self.step % self.kept
         newest = self.step // _LEARNED
         return newest if self.step % _LEARNED == 0 else max(newest - int(rng.integers(self.kept)), 0)
 
     def batch(self, number: int) -> tuple[NDArray, NDArray]:
-        """Queries and targets of a batch, made by its number alone; the last few are kept."""
+        """Queries and targets of a batch, which depend on its number alone.
+
+        The last few batches are kept; in the paper's training all of them.
+        """
         if isinstance(self.answers, Measured):
             return self.answers.batch(self.count, np.random.default_rng([self.seed, 2, number]))
         if number not in self.batches:
@@ -176,18 +184,18 @@ class NeuralTask:
         return self.batches[number]
 
     def figure(self) -> float:
-        """Mean over levels of the SNR, with the textures as they are stored."""
+        """Mean over levels of the SNR in dB on held-out queries, with the textures as they are stored."""
         self.learner.refresh(self.blur, as_stored=True)
         error, power = self.held.errors(self.learner)
         return float(np.mean(10.0 * np.log10(power / np.maximum(error, 1e-12))))
 
     def arrays(self) -> dict[str, NDArray]:
-        """Of the material, textures under the blur that there is still."""
+        """Arrays of the material, with its textures under the present blur."""
         self.learner.refresh(self.blur)
         return arrays_of(self.learner)
 
     def meta(self) -> dict[str, Any]:
-        """Provenance, and the errors of levels."""
+        """Provenance, and the error of each level."""
         self.learner.refresh(self.blur, as_stored=True)
         error, power = self.held.errors(self.learner)
         return {
@@ -204,7 +212,7 @@ class NeuralTask:
 
 
 class _Scaled(Adam):
-    """Adam whose rate is a multiple of what it is given."""
+    """Adam with a factor on its learning rate."""
 
     def __init__(self, size: int, factor: float, betas: tuple[float, float]) -> None:
         super().__init__(size, betas, 1e-8)
@@ -216,19 +224,19 @@ class _Scaled(Adam):
 
 
 def needed_memory(size: tuple[int, int]) -> int:
-    """Bytes that training a material of this size takes, predicted."""
+    """Predicted bytes of memory that training a material of this size takes."""
     texels = size[0] * size[1]
-    # Two textures of 8 floats (the pyramid a third more): with moments, gradients of all parts, sums and copies.
+    # Two textures of 8 floats, the pyramid a third larger, with their moments, copies, sums and gradients of all parts.
     textures = (8 * 4 * texels * 7 // 3) * (PARTS + 8)
     batch = 4 * texels * 4 * (QUERY + 3)
     return textures + max(min(_KEPT * batch, 256 << 20), _LEARNED * batch) + 4 * batch
 
 
 def check_memory(size: tuple[int, int]) -> None:
-    """Refuse a size that memory does not hold, before anything is made.
+    """Refuse a size whose training does not fit into free memory, before it begins.
 
     Raises:
-        InputError: with what is needed and what there is.
+        InputError: tells how much memory is needed and how much is free.
     """
     needed, free = needed_memory(size), free_memory()
     if free is not None and needed > free:
