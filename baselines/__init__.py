@@ -1,1 +1,1 @@
-"""Classical ways to make MIP levels of a material, one Method a file; brdffit finds them by entry points."""
+"""Classical methods to make MIP levels of a material, one file each; brdffit finds them by entry points."""

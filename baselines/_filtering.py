@@ -1,7 +1,7 @@
-"""What the baselines share: stored channels filtered linearly under the pixel filter, then a formula for each level.
+"""The common part of the baselines: channels are filtered linearly under the pixel filter, then finished by a formula.
 
-Colours, occlusion and shape are averaged linearly by all of them. A baseline adds the channels that its tool stores
-and a formula from their averages to the level's normal and roughness.
+All baselines average colours, occlusion and shape linearly. Each adds the channels that its tool stores and a formula
+from their averages to the level's normal and roughness.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from brdffit.options import LobeOptions
 from brdffit.roughness import alpha_squared_from_perceptual, perceptual_from_log_tensor, tensor_from_log
 from brdffit.svbrdf import LEAST_WEIGHT, Svbrdf, level_sizes
 
-#: Averages of single-precision unit vectors are known to about this much of their squared length; a variance below
-#: it is rounding, and is taken off, or a flat mirror (alpha^2 = 4e-6) would come out dull.
+#: Rounding of averaged single-precision unit vectors, as a share of their squared length. It is subtracted from
+#: variances, or a flat mirror (alpha^2 = 4e-6) would come out dull.
 SINGLE_NOISE = 4.0 * float(np.finfo(np.float32).eps)
 
-#: Texels of a block of rows in work: its temporaries fit a core's cache.
+#: Texels of a block of rows that is worked on at once: its temporaries fit a core's cache.
 BLOCK_TEXELS = 1 << 14
 
 _UP = np.array([0.0, 0.0, 1.0], dtype=np.float32)
@@ -35,15 +35,15 @@ _UP = np.array([0.0, 0.0, 1.0], dtype=np.float32)
 
 @dataclass(frozen=True)
 class LevelContext:
-    """Where in the pyramid a level stands, and the bounds of its roughness.
+    """The place of a level in the pyramid, and the bounds of its roughness.
 
     Attributes:
         mip_level: 0 is the finest.
-        chain_length: levels of the full chain down to 1x1, whatever number was asked for.
+        chain_length: levels of the full chain down to 1x1, even if fewer are baked.
         scale: base texels per texel of this level, (down, across).
         wrap: "tile" or "clamp".
         isotropic: whether the lobe must come out isotropic.
-        least_alpha_squared: roughness floor in alpha^2; the ceiling is alpha = 1.
+        least_alpha_squared: least alpha^2; the largest is 1.
     """
 
     mip_level: int
@@ -55,17 +55,17 @@ class LevelContext:
 
 
 class FilteringMethod(LobeMethod):
-    """A Method that filters channels and finishes each level by a closed form; subclasses say which."""
+    """A method that filters channels and finishes each level by a closed form; subclasses define both."""
 
     #: Whether the tool leaves level 0 as authored, whatever the options say.
     leaves_level_0 = False
 
     def channels(self, svbrdf: Svbrdf, notes: list[str]) -> dict[str, NDArray]:
-        """What is filtered beside the colours: (H, W, C) float32 arrays by name. May add sentences to ``notes``."""
+        """Channels to filter besides the colours: (H, W, C) float32 arrays by name. May add sentences to ``notes``."""
         raise NotImplementedError
 
     def finish(self, filtered: Mapping[str, NDArray], context: LevelContext) -> tuple[NDArray, NDArray]:
-        """Unit normals and log roughness tensors, both (h, w, 3), of filtered channels; any block of rows."""
+        """Unit normals and log roughness tensors, both (h, w, 3), from a block of rows of the filtered channels."""
         raise NotImplementedError
 
     def finish_level(
@@ -93,7 +93,7 @@ class FilteringMethod(LobeMethod):
             brdffit.errors.InputError: when the method needs something that the SVBRDF lacks.
             brdffit.errors.UnknownNameError: for an unknown model or pixel filter.
         """
-        # NumPy and SciPy let go of the interpreter's lock; blocks do not depend on each other, nor on who makes them.
+        # NumPy and SciPy release the GIL; blocks are independent, so the result does not depend on the threads.
         with ThreadPoolExecutor(options.threads or os.cpu_count()) as pool:
             return self._bake(svbrdf, options, progress, pool)
 
@@ -105,7 +105,7 @@ class FilteringMethod(LobeMethod):
         carried = _carried_channels(svbrdf, model)
         sizes = level_sizes(svbrdf.size, options.levels)
         kept = 1 if options.keep_level_0 or self.leaves_level_0 else 0
-        # Opacity weighs what has no colour to carry it; colours come weighted.
+        # Normals, roughness and scalars are weighted by opacity; colours come weighted already.
         weight = None if svbrdf.opacity is None else svbrdf.opacity[..., None]
         scalars = {name: carried.pop(name) for name in ("occlusion", "shape") if name in carried}
         weighed = own | scalars
@@ -143,7 +143,7 @@ class FilteringMethod(LobeMethod):
 
 
 def _carried_channels(svbrdf: Svbrdf, model: Model) -> dict[str, NDArray]:
-    """What every tool averages as it stands."""
+    """Channels that every baseline averages linearly: colours, and occlusion and shape where there are any."""
     channels = {"specular": svbrdf.specular, "diffuse": svbrdf.diffuse}
     if svbrdf.occlusion is not None:
         channels["occlusion"] = svbrdf.occlusion[..., None]
@@ -153,7 +153,7 @@ def _carried_channels(svbrdf: Svbrdf, model: Model) -> dict[str, NDArray]:
 
 
 def _in_range(name: str, image: NDArray) -> NDArray:
-    """Colours without the negative values of Mitchell's rim; scalars as (h, w), occlusion in [0, 1]."""
+    """Colours clamped to 0 (Mitchell's filter has negative weights); scalars as (h, w), occlusion in [0, 1]."""
     if name in ("specular", "diffuse"):
         return np.maximum(image, 0.0)
     return np.clip(image[..., 0], 0.0, 1.0) if name == "occlusion" else image[..., 0]
@@ -177,7 +177,7 @@ def is_isotropic(svbrdf: Svbrdf) -> bool:
 def roughness_channels(svbrdf: Svbrdf) -> NDArray:
     """Perceptual roughness and, where lobes are anisotropic, the deviator of the log tensor: (H, W, 1 or 3).
 
-    Averaging these is what a tool does that averages a roughness map and an anisotropy map.
+    A tool that averages a roughness map and an anisotropy map averages these.
     """
     log_tensor = svbrdf.log_roughness
     perceptual = perceptual_from_log_tensor(log_tensor)
@@ -212,12 +212,12 @@ def log_tensor_of(alpha_squared: NDArray, filtered: NDArray, context: LevelConte
 def log_of_bounded_tensor(tensor: NDArray, context: LevelContext) -> NDArray:
     """Log tensor (..., 3) of Sigma (..., 3) as (XX, YY, XY), float64, eigenvalues held between the floor and 1.
 
-    Sigma may be indefinite (Mitchell's negative weights). An isotropic context takes the lobe of the same determinant.
+    Sigma may be indefinite (Mitchell's negative weights). If the context is isotropic, the lobe keeps the determinant.
     """
     mean, half = 0.5 * (tensor[..., 0] + tensor[..., 1]), 0.5 * (tensor[..., 0] - tensor[..., 1])
     off = tensor[..., 2]
     radius = np.sqrt(half * half + off * off)
-    # Eigenvalues in double precision (mean - radius cancels); their logarithms need no more than single.
+    # Eigenvalues in double precision, since mean - radius cancels; single precision suffices for their logarithms.
     major = np.log(np.clip(mean + radius, context.least_alpha_squared, 1.0).astype(np.float32))
     minor = np.log(np.clip(mean - radius, context.least_alpha_squared, 1.0).astype(np.float32))
     log_mean = np.float32(0.5) * (major + minor)
@@ -235,7 +235,8 @@ def log_of_bounded_tensor(tensor: NDArray, context: LevelContext) -> NDArray:
 
 
 def unit_normal_and_length(mean_normal: NDArray) -> tuple[NDArray, NDArray]:
-    """Renormalised mean normals (..., 3) and their length r (...) in [0, 1], rounding taken off; z where r is 0."""
+    """Unit mean normals (..., 3), z where the mean is 0, and the length r (...) of the mean in [0, 1], 1 within
+    rounding."""
     squared = np.einsum("...i,...i->...", mean_normal, mean_normal)
     length = np.sqrt(squared)
     some = length > 1e-6

@@ -3,8 +3,9 @@
     R'^2 = E[R]^2 + min(1 / (2 kappa), 0.2^2),   kappa = (3 r - r^3) / (1 - r^2)
 
 The von Mises-Fisher widening, but added to the square of *perceptual* roughness R, with a quarter of the constant that
-alpha^2 wants, and capped. R is averaged as stored, the normal map gets ordinary mips, colours are averaged linearly,
-and level 0 is left as authored. (The tool averages square blocks of texels; here the pixel filter is the user's.)
+is right for alpha^2, and capped. R is averaged as stored, the normal map gets ordinary MIP levels, colours are averaged
+linearly, and level 0 is left as authored. (The tool averages square blocks of texels; here the user chooses the pixel
+filter.)
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class Filament(Naive):
     name = "filament"
     summary = "R^2 + min(0.5/kappa, 0.04) in perceptual roughness, as Filament's roughness-prefilter ships it"
     leaves_level_0 = True
-    #: What multiplies 1 / kappa, and the most that is added to R^2.
+    #: Factor of 1 / kappa, and the most that is added to R^2.
     factor: ClassVar[float] = 0.5
     cap: ClassVar[float] = 0.2**2
 

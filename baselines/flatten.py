@@ -2,7 +2,7 @@
 
     n' ~ (1 - t) E[n] / |E[n]| + t z,   t = k / (K - 1) at level k of the K levels down to 1x1
 
-Bumps vanish in the distance, and with them the roughness they stood for. Perceptual roughness is averaged as stored,
+Bumps vanish in the distance and nothing is added to the roughness for them. Perceptual roughness is averaged as stored,
 colours linearly.
 """
 

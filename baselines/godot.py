@@ -2,9 +2,9 @@
 
     R'^2 = E[R]^2 + min(3 / (4 kappa), 0.4^2),   kappa = (3 r - r^3) / (1 - r^2)
 
-Filament's idea with another constant and another cap. R is averaged as stored, normals get renormalised mips, colours
-are averaged linearly, and level 0 is left as authored. (The tool averages whole texels from a summed-area table; here
-the pixel filter is the user's.)
+As Filament's with another constant and another cap. R is averaged as stored, normals are averaged and made unit length,
+colours are averaged linearly, and level 0 is left as authored. (The tool averages whole texels from a summed-area
+table; here the user chooses the pixel filter.)
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A common wrong way, shown by Baker (2011, "Spectacular Specular"): filter the height map, take normals of that.
+"""A common wrong way, shown by Baker (2011, "Spectacular Specular"): filter the height map and derive normals from it.
 
     n' ~ (-dh/dx, -dh/dy, 1),   h = E[height], central differences between the level's texels
 
@@ -21,7 +21,7 @@ from brdffit.svbrdf import Svbrdf
 
 
 def _derivative(height: NDArray, axis: int, spacing: float, wrap: str) -> NDArray:
-    """Central difference along ``axis``; one-sided at a clamped border, 0 where there is but one texel."""
+    """Central difference along ``axis``; one-sided at a clamped border, 0 where there is only one texel."""
     size = height.shape[axis]
     before, after = np.arange(size) - 1, np.arange(size) + 1
     if wrap == "tile":
@@ -58,11 +58,11 @@ class FilteredHeight(Naive):
     def finish_level(
         self, filtered: Mapping[str, NDArray], context: LevelContext, pool: Executor
     ) -> tuple[NDArray, NDArray]:
-        """Slopes need neighbours: they are taken for the whole level, before its blocks."""
+        """Normals from the slopes of the whole level, since slopes need neighbours, then roughness by blocks."""
         height = filtered["height"][..., 0]
         down = _derivative(height, 0, context.scale[0], context.wrap)
         across = _derivative(height, 1, context.scale[1], context.wrap)
-        # Rows run down the picture, +Y up.
+        # Rows run downwards, +Y points up.
         normal = np.stack([-across, down, np.ones_like(across)], axis=-1)
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         return super().finish_level({"normal": normal, "roughness": filtered["roughness"]}, context, pool)

@@ -10,11 +10,12 @@ T'(-E[m] - d, 1) = (0, 0, 1 / n_z) - T'(d, 0), hence its slope there is
     J d,   J = n_z (I - n_xy n_xy' / (1 + n_z)),      (n_z^2 along the tilt, n_z across it)
     Sigma' = E[Sigma] + 2 J Cov J'.
 
-Exact for Beckmann lobes and small tilts; for GGX, which has no variance, a heuristic. The paper's own shader stays in
-the slopes of z: it adds 1/s of the base Blinn-Phong lobe to Cov and evaluates a Gaussian at the half vector's slope,
-so that its base lobe narrows by J where the surface tilts; ours is given in the frame of its normal, and stays.
+This is exact in the moments for Beckmann lobes and small tilts, and a heuristic for GGX, which has no variance. The
+paper's own shader works with slopes in the frame of z: it adds 1/s of the base Blinn-Phong lobe to Cov and evaluates a
+Gaussian at the half vector's slope, so its base lobe narrows by J where the surface tilts. Ours is given in the frame
+of its normal and does not narrow.
 
-Slopes of near-horizontal normals would swamp both moments: they are cut at ``MAX_SLOPE`` and counted in the notes.
+Slopes of near-horizontal normals would dominate both moments: they are cut at ``MAX_SLOPE`` and counted in the notes.
 E[Sigma] averages alpha^2; colours are averaged linearly.
 """
 
@@ -36,7 +37,7 @@ from baselines._filtering import (
 )
 from brdffit.svbrdf import Svbrdf
 
-#: Longest slope taken at its word: 84 degrees from z.
+#: Steepest slope that is not cut: 84 degrees from z.
 MAX_SLOPE = 10.0
 
 
@@ -53,7 +54,7 @@ class Lean(FilteringMethod):
         rows = max(1, BLOCK_TEXELS // svbrdf.size[1])
         for start in range(0, svbrdf.size[0], rows):
             n_x, n_y, n_z = np.moveaxis(svbrdf.normal[start : start + rows], -1, 0)
-            # At the cut, n_z is what it would be with slope MAX_SLOPE and this tangential part.
+            # The n_z with which this tangential part would have the slope MAX_SLOPE.
             least = np.maximum(np.sqrt(n_x * n_x + n_y * n_y) / np.float32(MAX_SLOPE), np.float32(1e-6))
             clamped += int(np.count_nonzero(n_z < least))
             minus_inverse = np.float32(-1.0) / np.maximum(n_z, least)
@@ -70,7 +71,7 @@ class Lean(FilteringMethod):
     def finish(self, filtered: Mapping[str, NDArray], context: LevelContext) -> tuple[NDArray, NDArray]:
         """Mean normal and Sigma' = E[Sigma] + 2 J Cov J'."""
         m_x, m_y, m_xx, m_yy, m_xy = np.moveaxis(filtered["moments"], -1, 0).astype(np.float64, order="C")
-        # A difference of single-precision averages is known to a few parts in 10^7 of what is subtracted.
+        # A difference of single-precision averages has a rounding error of a few 1e-7 of the subtracted values.
         noise = SINGLE_NOISE * (m_xx + m_yy)
         cov_xx = np.maximum(m_xx - m_x * m_x - noise, 0.0)
         cov_yy = np.maximum(m_yy - m_y * m_y - noise, 0.0)

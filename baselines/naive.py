@@ -1,6 +1,6 @@
-"""What happens when nothing is done: every channel is averaged and the normal made unit length again.
+"""Plain averages: every channel is averaged by itself and the normal is made unit length again.
 
-Perceptual roughness is averaged as stored (R' = E[R]), colours linearly. The spread of the normals is thrown away.
+Perceptual roughness is averaged as stored (R' = E[R]), colours linearly. The spread of the normals is lost.
 """
 
 from __future__ import annotations

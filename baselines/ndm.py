@@ -1,10 +1,10 @@
 """Olano and North 1997, "Normal Distribution Mapping": a Gaussian on the normals of a footprint, filtered linearly.
 
-Each texel stores the mean and the covariance of the unit normals under it, three numbers and six, as first and second
-moments, which average linearly: this is the one filter here that is linear, so that levels, trilinear look-ups and
-footprints of any shape are all exact for what it stores. Base roughness enters the covariance, as the paper lets the
-gloss of the surface widen it: a lobe of Sigma spreads its facets by Sigma / 2 in the tangent plane, and by the mean of
-both axes along the normal, for the Gaussian of variance a^2 / 2 around a unit normal n, taken on the sphere, is
+Each texel stores the mean and the covariance of the unit normals under it, as first and second moments (three numbers
+and six), which average linearly. No other filter here is linear: levels, trilinear look-ups and footprints of any shape
+all give the exact moments. Base roughness enters the covariance, as the gloss of the surface does in the paper: a lobe
+of Sigma adds Sigma / 2 in the tangent plane and the mean of both axes along the normal, because a Gaussian of variance
+a^2 / 2 around a unit normal n, restricted to the sphere, is
 
     exp(-|h - n|^2 / a^2) = exp(-2 (1 - h.n) / a^2),
 
@@ -12,9 +12,9 @@ a von Mises-Fisher lobe, and to first order Beckmann's with alpha = a. A pixel i
 
     D(h) = exp(-(h - m)' C^-1 (h - m) / 2) / Z,   C = E[n n' + S] - m m',   Z such that the integral of D (h.n) is 1,
 
-n the direction of m, with masking, Fresnel and diffuse of every other method. No roughness map comes of it: normals
-that lie on a ring stay on an arc here, where one lobe must fill it. Z has no closed form; it is a sum over a fixed rule
-in the slopes of a GGX lobe as wide, whose tails hold the Gaussian's.
+n the direction of m, with the same masking, Fresnel and diffuse terms as every other method. There is no roughness map:
+normals that lie on an arc stay on an arc here, where one lobe would fill it. Z has no closed form; it is a sum over a
+fixed rule in the slopes of a GGX lobe of the same width, whose tails are longer than the Gaussian's.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ _RINGS, _SPOKES = 16, 16
 
 
 class Distribution(NamedTuple):
-    """What is read for n pixels, float64.
+    """The distributions of n pixels, float64.
 
     Attributes:
         mean: (n, 3) mean normal m, shorter than 1. inverse: (n, 3, 3) C^-1.
         log_normalisation: (n,) -log Z.
-        normal: (n, 3) direction of the mean. tensor: (n, 3) Sigma of a lobe as wide, (XX, YY, XY).
+        normal: (n, 3) direction of the mean. tensor: (n, 3) Sigma of a lobe of the same width, (XX, YY, XY).
         specular, diffuse: (n, 3).
     """
 
@@ -114,7 +114,7 @@ class NormalDistributions:
         return brdf(texels.normal, texels.tensor, texels.specular, texels.diffuse, view, light, density=density)
 
     def sample(self, texels: Distribution, view: NDArray, u: NDArray) -> NDArray:
-        """See ``Appearance``: from the lobe that is as wide."""
+        """See ``Appearance``: from the GGX lobe of the same width."""
         from brdffit.models.microfacet import draw, share_of_lobe
 
         return draw(texels.normal, texels.tensor, share_of_lobe(texels.specular, texels.diffuse), view, u)
@@ -135,7 +135,7 @@ class NormalDistributionMapping:
     options: ClassVar[type[BakeOptions]] = BakeOptions
 
     def prepare(self, material: Material, options: Any) -> None:
-        """Nothing is to be prepared."""
+        """Do nothing: there is nothing to prepare."""
 
     def bake(self, material: Material, options: Any, progress: Progress | None = None) -> Baked:
         """Bake a material, see ``brdffit.methods.Method``."""
@@ -145,7 +145,7 @@ class NormalDistributionMapping:
         kept = 1 if options.keep_level_0 else 0
         images = [image] * kept
         pixel_filter = get_pixel_filter(options.pixel_filter)
-        # Channels are filtered apart, each by a thread of its own.
+        # Groups of channels are filtered in parallel, each by one thread.
         parts = [np.ascontiguousarray(image[..., part]) for part in (_MEAN, _MOMENTS, _SPECULAR, _DIFFUSE)]
         with ThreadPoolExecutor(options.threads or os.cpu_count()) as pool:
             pyramids = [iter_pyramid(part, sizes[kept:], pixel_filter, svbrdf.wrap) for part in parts]
@@ -160,7 +160,7 @@ class NormalDistributionMapping:
 
 
 def moments_of(svbrdf: Svbrdf) -> NDArray:
-    """(H, W, 15) float32: what is averaged."""
+    """Channels (H, W, 15) float32 that are averaged: mean normal, second moments, specular and diffuse colour."""
     normal = svbrdf.normal.astype(np.float64)
     tensor = tensor_from_log(svbrdf.log_roughness).astype(np.float64)
     rows = normal.reshape(-1, 3)
@@ -191,7 +191,7 @@ def _stored(images: Sequence[NDArray]) -> list[Image]:
 
 
 def _frames(normal: NDArray) -> NDArray:
-    """Rows tangent, bitangent, normal (n, 3, 3): the shortest rotation of z to n carries x and y to the first two."""
+    """Rows tangent, bitangent, normal (n, 3, 3): the images of x, y and z under the shortest rotation from z to n."""
     x, y, z = normal.T
     k = 1.0 / np.maximum(1.0 + z, 1e-6)
     frame = np.empty((len(normal), 3, 3))
@@ -209,10 +209,11 @@ def _exponent(off: NDArray, inverse: NDArray) -> NDArray:
 
 
 def _log_normalisation(mean: NDArray, inverse: NDArray, frame: NDArray, tensor: NDArray) -> NDArray:
-    """-log Z (n,): Z is the mean of f(h) / D(h) over half vectors h that follow D(h) (n.h), D the GGX lobe as wide.
+    """-log Z (n,): Z is the mean of f(h) / D(h) over half vectors h drawn from D(h) (n.h), D the GGX lobe of the same
+    width and f the Gaussian.
 
-    Midpoints of rings of equal weight and spokes; f is taken relative to its largest value at a node, for a narrow one
-    would underflow where m is much shorter than 1.
+    Nodes are midpoints of rings of equal weight and of spokes. f is taken relative to its largest value at a node: a
+    narrow one would underflow where m is much shorter than 1.
     """
     xx, yy, xy = tensor.T
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 1e-30))
@@ -222,7 +223,7 @@ def _log_normalisation(mean: NDArray, inverse: NDArray, frame: NDArray, tensor: 
     for k, first in enumerate(u):
         r = math.sqrt(first / (1.0 - first))
         for j in range(_SPOKES):
-            # Spokes of neighbouring rings are turned against each other.
+            # Spokes of neighbouring rings are rotated by half a step against each other.
             angle = 2.0 * math.pi * (j + 0.5 * (k % 2)) / _SPOKES
             a, b = r * math.cos(angle), r * math.sin(angle)
             s, t = l_11 * a, xy / l_11 * a + root / l_11 * b

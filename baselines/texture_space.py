@@ -1,11 +1,11 @@
-"""Texture-space lighting, the high-quality way of Baker's filter: light texels, filter what they send, shade no pixel.
+"""Texture-space lighting, the high-quality variant of Baker's filter: light texels and filter their reflected light.
 
-Lobes cannot be averaged, light can: texels are lit by the light and viewer of the moment at a finer level than the
-camera's, and what they send to the viewer is filtered down to the pixel. Here a pixel of level d lights the fitted
-lobes of level max(0, d - finer) at 2^finer points along each side of its footprint. From the level on where lit texels,
-filtered down, vary less than a threshold over the texture (their deviation over their mean, in the mean over some
-lights and viewers), there is nothing left to gain by lighting them one by one, and the fitted maps are used; between
-that level and the one before, both are mixed. The level and the seconds that one light costs a frame are noted.
+Lobes cannot be averaged, but light can: texels are lit at a finer level than the camera's by the current light and for
+the current viewer, and the light that they reflect is filtered down to the pixel. Here a pixel of level d lights the
+fitted lobes of level max(0, d - finer) at 2^finer points along each side of its footprint. At some level lit and
+filtered texels vary less than a threshold over the texture (standard deviation over mean, averaged over some lights and
+viewers). From there on lighting them one by one gains nothing and the fitted maps are used; between that level and the
+one before, both are mixed. The level and the seconds that one light costs a frame are noted.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from brdffit.methods import DEFAULT, Baked, Material, Progress, get_method, with
 from brdffit.options import BakeOptions, LobeOptions, option
 from brdffit.svbrdf import level_sizes
 
-#: Lights and viewers by which the level is found, and texels along a side that are looked at.
+#: Pairs of light and viewer by which the level is found, and the most texels along a side that are lit for it.
 _PAIRS, _MOST_TEXELS = 6, 512
 
 
@@ -39,11 +39,11 @@ class TextureSpaceOptions(LobeOptions):
 
 
 class LitTexels(NamedTuple):
-    """What is read for n pixels: fitted lobes, and for some of the pixels the lobes of texels that are lit.
+    """The lobes of n pixels: fitted ones, and for some pixels those of the texels that are lit.
 
     Attributes:
         fitted: of all pixels.
-        rows: (m,) which pixels are lit in texture space. part: (m,) how much of each, the rest is fitted.
+        rows: (m,) indices of pixels lit in texture space. part: (m,) share of that light; the rest is fitted.
         lobes: of (m * points) texels, those of a pixel together.
     """
 
@@ -55,11 +55,11 @@ class LitTexels(NamedTuple):
 
 @dataclass(frozen=True)
 class TextureSpace:
-    """A pyramid that is lit at a finer level than it is seen, an ``Appearance``.
+    """A pyramid that is lit at a finer level than the pixel's, an ``Appearance``.
 
     Attributes:
         pyramid: the fitted maps.
-        stop: level from which on they are used.
+        stop: level from which on only they are used.
         finer: levels by which lit texels are finer than a pixel.
     """
 
@@ -78,7 +78,7 @@ class TextureSpace:
         return self.pyramid.levels
 
     def look_up(self, lookups: Lookups) -> LitTexels:
-        """Fitted lobes of each pixel, and the lobes that are lit under those that are near enough."""
+        """Fitted lobes of each pixel and, for pixels that are near enough, the lobes to light."""
         part = np.clip(self.stop - lookups.detail, 0.0, 1.0)
         rows = np.flatnonzero(part > 0.0)
         side = 1 << self.finer
@@ -94,7 +94,7 @@ class TextureSpace:
         return LitTexels(self.pyramid.look_up(lookups), rows, part[rows], self.pyramid.look_up(fine))
 
     def evaluate(self, texels: LitTexels, view: NDArray, light: NDArray) -> NDArray:
-        """See ``brdffit.appearance.Appearance``: the mean of what the lit texels send, filtered down to the pixel."""
+        """See ``brdffit.appearance.Appearance``: the mean light of the lit texels in the pixel."""
         found = self.pyramid.evaluate(texels.fitted, view, light)
         if len(texels.rows):
             points = 1 << (2 * self.finer)
@@ -105,7 +105,7 @@ class TextureSpace:
         return found
 
     def sample(self, texels: LitTexels, view: NDArray, u: NDArray) -> NDArray:
-        """See ``Appearance``: from the fitted lobe, which is as wide as the lobes under it together."""
+        """See ``Appearance``: from the fitted lobe, which covers the lobes in the pixel."""
         return self.pyramid.sample(texels.fitted, view, u)
 
     def pdf(self, texels: LitTexels, view: NDArray, light: NDArray) -> NDArray:
@@ -114,7 +114,7 @@ class TextureSpace:
 
 
 class TextureSpaceLighting:
-    """Light texels of a finer level and filter what they send, as long as it pays; then fitted maps."""
+    """Lights texels of a finer level and filters their light as long as that pays; then uses the fitted maps."""
 
     name = "texture-space"
     summary = "texels of a finer level are lit and filtered down, fitted maps from where that pays no more (Baker)"
@@ -143,14 +143,14 @@ class TextureSpaceLighting:
 
 
 def _fit_options(options: TextureSpaceOptions) -> Any:
-    """The options of the fit that both know; level 0 is lit as authored, for it is filtered after it is lit."""
+    """The options that the fit shares; level 0 stays as authored, since it is filtered after lighting."""
     shared = {name: getattr(options, name) for name in options.__dataclass_fields__}
     return with_options(get_method(DEFAULT).options(), shared | {"keep_level_0": True})
 
 
 def stop_level(pyramid: LobePyramid, threshold: float) -> tuple[int, float]:
-    """The level from which on lit texels vary less than the threshold (the number of levels: none), and the seconds
-    that it takes to light every texel of level 0 by one light and to filter them down."""
+    """The first level at which lit texels vary less than the threshold (the number of levels if there is none), and the
+    seconds that it takes to light every texel of level 0 by one light and to filter them down."""
     height, width = (min(side, _MOST_TEXELS) for side in pyramid.base_size)
     sizes = level_sizes((height, width))
     rows, columns = np.mgrid[:height, :width]
@@ -171,7 +171,7 @@ def stop_level(pyramid: LobePyramid, threshold: float) -> tuple[int, float]:
         for k, level in enumerate(levels):
             grey = level.mean(axis=-1)
             varies[pair, k] = grey.std() / max(float(grey.mean()), 1e-9)
-    # One texel varies from nothing: only levels that have some tell.
+    # The last two levels have too few texels to tell how much they vary.
     below = [k for k in range(len(sizes) - 2) if varies[:, k].mean() < threshold]
     whole = pyramid.base_size[0] * pyramid.base_size[1] / count
     # The first pair compiles.

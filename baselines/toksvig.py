@@ -25,7 +25,7 @@ class Toksvig(Naive):
     summary = "roughness widened by the length of the mean normal (Toksvig 2005; Unreal's composite textures)"
 
     def finish(self, filtered: Mapping[str, NDArray], context: LevelContext) -> tuple[NDArray, NDArray]:
-        """alpha'^2 = (B - alpha^2) / (B - 1), both parts multiplied by r, which may be 0."""
+        """alpha'^2 = (B - alpha^2) / (B - 1), numerator and denominator multiplied by r, which may be 0."""
         normal, length = unit_normal_and_length(filtered["normal"])
         alpha_squared = np.minimum(mean_alpha_squared(filtered["roughness"], context), 1.0)
         minus_b = 2.0 * (1.0 - length) * (1.0 - alpha_squared)

@@ -1,1 +1,1 @@
-"""Scenes: who looks at a surface, from where and under which light, and what a bake of it has to compute."""
+"""Scenes: the cameras and lights of a surface, and a plan of what its bake must compute for them."""

@@ -1,4 +1,4 @@
-"""The command ``plan`` and baking by a plan: what they show in a terminal, and the JSON file."""
+"""The command ``plan`` and bakes by a plan: their output in a terminal, and the JSON file."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from brdffit.comparison.console import Written
     from brdffit.pipeline import BakeReport
 
-#: Columns where no terminal sets them.
+#: Width in columns where the output is no terminal.
 _PIPED_WIDTH = 160
 
 
 def make_plan(
     path: Path, sets: Sequence[Path] = (), seed: int = 0, threads: int | None = None
 ) -> tuple[SceneFile, Plan]:
-    """Read a scene file and plan it, with a line on standard error for what is being measured.
+    """Read a scene file and plan it; a status line on standard error tells what is being measured.
 
     Args:
-        sets: texture sets that stand in for the scene's surfaces, each as its first surface is.
+        sets: texture sets that replace the scene's surfaces, each with the fields of its first surface.
 
     Raises:
         InputError: as ``read_scene`` and ``plan_scene``.
     """
-    # Heavy: numba and the kernels behind it.
+    # Imported here: it loads numba and the kernels.
     from brdffit.planning.run import plan_scene
 
     scene = read_scene(path)
@@ -68,7 +68,7 @@ def bake_by_plan(path: Path, output: Path, *, preview: bool, threads: int | None
 def compare_by_plan(
     path: Path, output: str | Path, *, methods: Sequence[str] = (), quick: bool = False, threads: int | None = None
 ) -> Written:
-    """Plan a scene, show the plan, and compare methods on its surfaces: what it leaves out is not simulated.
+    """Plan a scene, show the plan, and compare methods on its surfaces without the effects that the plan leaves out.
 
     Raises:
         InputError, OutputError: as ``make_plan`` and ``compare_to_folder``.
@@ -83,7 +83,7 @@ def compare_by_plan(
 
 
 def print_plan(plan: Plan, short: bool = False) -> None:
-    """Every surface with its effects; ``short`` (or many surfaces): one line a surface."""
+    """Print every surface with its effects; with several surfaces also one line each, with ``short`` only these."""
     console = Console(highlight=False, markup=False, emoji=False)
     if not console.is_terminal:
         console.width = _PIPED_WIDTH
@@ -95,7 +95,7 @@ def print_plan(plan: Plan, short: bool = False) -> None:
 
 
 def write_plan(plan: Plan, path: Path) -> None:
-    """The plan as JSON.
+    """Write the plan as JSON.
 
     Raises:
         OutputError: when the file cannot be written.

@@ -1,4 +1,4 @@
-"""The scene file: cameras, surfaces, lights, target and budget, in TOML; what is left out has a default.
+"""The scene file: cameras, surfaces, lights, target and budget, in TOML. Fields that are left out have defaults.
 
 The smallest scene names one surface:
 
@@ -31,7 +31,7 @@ from brdffit.textures import READING_OPTIONS
 #: The environment that ships, by name.
 PROCEDURAL = "procedural"
 
-# Bounds keep infinity out, which TOML can write, and no scene comes near them.
+# Bounds exclude infinity, which TOML can write; no real scene comes near them.
 Positive = Annotated[float, Meta(gt=0.0, le=1e9)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=1e9)]
 Finite = Annotated[float, Meta(ge=-1e9, le=1e9)]
@@ -54,14 +54,14 @@ def _range(value: float | tuple[float, ...]) -> tuple[float, float]:
 
 
 class _Strict(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Unknown fields are mistakes."""
+    """A table in which unknown fields are errors."""
 
 
 class Camera(_Strict, frozen=True, kw_only=True):
-    """Who looks at the surfaces.
+    """A camera that looks at the surfaces.
 
     Attributes:
-        name: as plans call it.
+        name: used in plans.
         distance: to the surface in metres, or the nearest and the farthest.
         field_of_view: horizontal, in degrees.
         resolution: (width, height) of the picture in pixels, which are square.
@@ -91,15 +91,15 @@ class Camera(_Strict, frozen=True, kw_only=True):
 
 
 class Surface(_Strict, frozen=True, kw_only=True):
-    """What is looked at.
+    """A surface and its texture set.
 
     Attributes:
-        set: folder of textures (or .gltf, .glb, .mtlx file), relative to the scene file; absolute once read.
+        set: folder of textures (or .gltf, .glb, .mtlx file), relative to the scene file; absolute after ``read_scene``.
         name: of its output folder; "": that of the set.
-        texel_size: side of a base texel in metres; at most one of this and ``repetitions``.
-        repetitions: of the texture's width per metre; None with no ``texel_size`` either: 1.
+        texel_size: side of a base texel in metres; only one of this and ``repetitions`` may be given.
+        repetitions: of the texture's width per metre; 1 if neither is given.
         radius: of a curved surface, in metres; None: flat.
-        roles, normal_y, wrap, height_scale, denoise_normals, material: how the set is read, as the options of
+        roles, normal_y, wrap, height_scale, denoise_normals, material: how the set is read, as with the options of
             ``brdffit bake``.
     """
 
@@ -133,7 +133,7 @@ class Surface(_Strict, frozen=True, kw_only=True):
 
 
 class Light(_Strict, frozen=True, kw_only=True):
-    """A light that is far away.
+    """A distant light.
 
     Attributes:
         direction: towards the light; any length but zero.
@@ -157,14 +157,14 @@ class Light(_Strict, frozen=True, kw_only=True):
 
 
 class Target(_Strict, frozen=True, kw_only=True):
-    """What the bake is for: an output preset, and bits of its pictures."""
+    """The target of the bake: an output preset, and bits of its pictures."""
 
     preset: str = "plain"
     bits: Bits = 8
 
 
 class Budget(_Strict, frozen=True, kw_only=True):
-    """What may be lost: dB of SNR by all that is switched off; and seconds that a bake may take, None: any."""
+    """dB of SNR that all effects switched off may cost together, and seconds that a bake may take (None: no limit)."""
 
     db: Positive = 0.1
     seconds: Positive | None = None
@@ -174,13 +174,14 @@ class SceneFile(_Strict, frozen=True, kw_only=True):
     """A whole scene file.
 
     Attributes:
-        cameras, surfaces, lights: at least one surface; no light and no ``environment``: that which ships.
+        cameras, surfaces, lights: at least one surface. Without a light and an ``environment``, the environment that
+            ships is used.
         environment: equirectangular .hdr or .exr picture, relative to the scene file (y is up in it and its middle
             column lies behind the surface, at -z); "procedural": the one that ships; None: none.
-        probe: engine whose reflection probe lights views of the environment once more in ``compare --scene``
-            (``brdffit probe --for``): its levels are looked up by its own curve of roughness; None: none.
+        probe: engine whose reflection probe lights the environment views a second time in ``compare --scene``
+            (``brdffit probe --for``), with its levels looked up by that engine's curve of roughness; None: none.
         target, budget: of the bake.
-        effects: by name (``effects.NAMES``): "auto" leaves the verdict to the plan.
+        effects: by name (``effects.NAMES``): "on", "off", or "auto", which leaves the verdict to the plan.
         model, quality, pixel_filter: as the options of ``brdffit bake``.
     """
 
@@ -197,19 +198,19 @@ class SceneFile(_Strict, frozen=True, kw_only=True):
     pixel_filter: Filter = "box"
 
     def switch(self, effect: str) -> Switch:
-        """What the user says of an effect."""
+        """The setting of an effect in the scene file."""
         return self.effects.get(effect, "auto")
 
 
 def read_scene(path: str | Path) -> SceneFile:
-    """The scene that a file holds, with every default filled in that hangs on another field.
+    """Read a scene file and fill in the defaults that depend on other fields.
 
-    Paths are absolute, surfaces and cameras have names, and where nothing is said of light the environment that ships
-    stands.
+    Paths become absolute, surfaces and cameras get names, and a scene without any light gets the environment that
+    ships.
 
     Raises:
-        InputError: when the file cannot be read, says something unknown or impossible, or names a set or an environment
-            that is not there; the sentence holds the file and the path of the field.
+        InputError: when the file cannot be read, has an unknown field or an impossible value, or names a set or an
+            environment that does not exist; the sentence holds the file and the path of the field.
     """
     path = Path(path)
     try:
@@ -234,7 +235,7 @@ def read_scene(path: str | Path) -> SceneFile:
 
 
 def parse_scene(text: str, path: str | Path) -> SceneFile:
-    """The scene of a file's text as it stands: paths are not looked at, and ``path`` is for the error alone.
+    """Parse the text of a scene file without filling in defaults or checking paths; errors name ``path``.
 
     Raises:
         InputError: as ``read_scene``.
@@ -260,7 +261,11 @@ def parse_scene(text: str, path: str | Path) -> SceneFile:
 
 
 def _existing(name: str, scene: Path, where: str) -> Path:
-    """The absolute path of what a scene names."""
+    """The absolute path of a file that a scene names.
+
+    Raises:
+        InputError: when it does not exist.
+    """
     path = (scene.parent / name).resolve()
     if not path.exists():
         _refuse(scene, where, f"there is nothing at '{path}', expected a path relative to the scene file")
@@ -281,7 +286,7 @@ def _small(text: str) -> str:
     return text[:1].lower() + text[1:]
 
 
-#: What may stand at a field that takes one of a few words, by its name.
+#: Values of the fields that take one of a few words, by the name of the field.
 _CHOICES = {
     "effects": get_args(Switch), "normal_y": get_args(NormalY), "wrap": get_args(Wrap), "bits": get_args(Bits),
     "quality": get_args(Quality), "pixel_filter": get_args(Filter),
@@ -294,8 +299,8 @@ _WORDS = {
 
 
 def _in_plain_words(what: str, where: str, data: dict[str, Any]) -> tuple[str, str]:
-    """The field and what is wrong with it, from what msgspec says: with what was found and what was expected."""
-    if where.startswith("effects["):  # it does not say which
+    """The field and its error in plain words, with what was found and what was expected, from msgspec's message."""
+    if where.startswith("effects["):  # msgspec does not name the key
         wrong = [name for name, value in data["effects"].items() if value not in _CHOICES["effects"]]
         where = f"effects.{wrong[0]}"
     field = where.split(".")[0] if where.startswith("effects") else where.rpartition(".")[2]
@@ -320,7 +325,7 @@ def _nearest(name: str, known: Any) -> str:
 
 
 def _found(data: Any, where: str) -> str:
-    """What stands at a field: only what is short."""
+    """The value that was found at a field, if it is short."""
     for key, index in re.findall(r"(\w+)|\[(\d+)\]", where):
         try:
             data = data[int(index) if index else key]

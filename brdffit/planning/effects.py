@@ -1,7 +1,8 @@
-"""The effects that a scene may call for: what each one is, and what is left out where it is off.
+"""The effects that a scene may call for: what each one is, and what changes when it is off.
 
-An effect is a small change of a bake's options, of the maps that are read, or of the judge's terms. A new one is one
-more entry here; how much it contributes and costs is measured (``trial``), whether it stays is decided (``plan``).
+An effect is a small change of a bake's options, of the maps that are read, or of the terms of the judge, the reference
+renderer of a comparison. A new effect is one more entry here; its contribution and cost are measured (``trial``), and a
+plan decides whether it stays (``plan``).
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ class Effect:
     """One effect.
 
     Attributes:
-        name: as scene files write it.
-        title: for people.
-        absent: what is done without it, as plans say it.
-        on, off: fields of ``FitOptions``, with it and without it.
+        name: in scene files.
+        title: in tables.
+        absent: what happens without it, for the sentences of plans.
+        on, off: fields of ``FitOptions`` with it and without it.
         unread: roles of maps that are not read without it.
         terms: fields of the judge's ``Terms`` that are False without it.
-        judge: whether it is the judge's alone: it changes no pyramid, but what a comparison simulates.
-        extra: whether it is a pass of its own, that has to be shown to help before it is paid for.
-        traced: whether it is one of a height that is traced as a surface, which no map shows; the judge's alone.
+        judge: whether it belongs to the judge alone: it changes what a comparison simulates, but no pyramid.
+        extra: whether it is an extra pass of the fit, which is on only if it is shown to help.
+        traced: whether it needs the height traced as a surface, since no map shows it; such effects are the judge's.
     """
 
     name: str
@@ -111,13 +112,13 @@ NAMES = tuple(BY_NAME)
 
 @dataclass(frozen=True)
 class Setup:
-    """What a set of effects makes of a bake and of the judge.
+    """The settings of a bake and of the judge that follow from a set of effects.
 
     Attributes:
         options: of the bake.
         unread: roles of maps that are not read.
         terms: of the judge.
-        environment: whether the judge lights by the environment.
+        environment: whether the judge uses the environment as a light.
     """
 
     options: FitOptions
@@ -127,7 +128,7 @@ class Setup:
 
 
 def setup(options: FitOptions, off: Collection[str] = (), tolerance: float = 0.1) -> Setup:
-    """Everything on but the effects named in ``off``.
+    """The settings with everything on except the effects named in ``off``.
 
     Args:
         options: of the scene: model, quality, pixel filter, reach.

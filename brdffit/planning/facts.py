@@ -1,4 +1,4 @@
-"""What a scene settles about effects without a measurement: what cannot be seen, stored or told apart."""
+"""Effects that a scene settles without a measurement, because they cannot be seen, stored or distinguished."""
 
 from __future__ import annotations
 

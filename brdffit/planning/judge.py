@@ -1,4 +1,4 @@
-"""What the judge's effects cost: seconds of a comparison's pictures, from a few pixels of one."""
+"""The cost of the judge's effects: seconds of a comparison's pictures, from a few pixels of one picture."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from brdffit.render.scenes import plane
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
 
-#: Side of the picture that is timed, and pixels of the pictures of one set in a comparison, by what lights them.
+#: Side of the picture that is timed; pixels of one set's pictures in a comparison, under lights and an environment.
 _SIDE, _PIXELS, _PIXELS_AROUND = 16, 5 * 192 * 192, 3 * 128 * 128
 _REPEATS = 2
 

@@ -1,7 +1,7 @@
-"""Pairs of directions to viewer and light as a scene has them, for errors over random pairs.
+"""Pairs of directions to viewer and light, drawn from a scene's cameras and lights, for errors over random pairs.
 
-The measure is that of pictures: a direction of view counts as the pixels that see the surface from it, a direction of
-light as the luminance that a surface facing it receives. Cosines are left to the terms of the BRDF.
+The measure is that of pictures: a direction of view counts by the pixels that see the surface from there, a direction
+of light by the luminance that a surface facing it receives. Cosines are left to the terms of the BRDF.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from brdffit.render.environment import Environment
 from brdffit.render.lights import Lights
 from brdffit.render.scenes import into_frame
 
-#: Different directions of an environment that are drawn from: as many as a map of 256 x 128 has pixels.
+#: Number of directions that represent an environment: the pixels of a map of 256 x 128.
 _ENVIRONMENT_DIRECTIONS = 1 << 15
 
-# Pairs are drawn anew until both directions are above the horizon. Where none of so many are, none will be.
+# Pairs are drawn anew until both directions are above the horizon. If none is in this many draws, no light reaches it.
 _DRAWS, _ROUNDS = 4096, 8
-# Where highlights are looked for: pairs that are drawn, of which each texel chooses among so many (that many more would
-# cost time, and the same ones for all texels would err alike); share of the choice that follows the highlights, and
-# their least width.
+# For highlights: pairs that are drawn for all texels; how many of them each texel chooses from (choosing from all would
+# take longer, and choosing from the same ones would give all texels the same error); share of the chance that follows
+# the highlights, and their least width.
 _POOL, _WINDOW, _FOLLOW, _LEAST_WIDTH = 1 << 17, 1 << 14, 0.5, 0.01
 
 
@@ -43,10 +43,10 @@ def directions(
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Random pairs of directions at some texels of a surface.
 
-    View: a camera (all alike), a tilt of its range (each as often as pixels see it, that is by projected solid angle)
-    and any azimuth. Light: one of the lights or the environment, drawn by luminance, and a direction within its size. A
-    curved surface turns the frame of both at random, up to what the camera sees of its curvature; what a pair does not
-    see or light is drawn anew, so both directions are always above the horizon of the frame.
+    View: a camera (all are equally likely), a tilt within its range (as often as pixels see it, by projected solid
+    angle) and any azimuth. Light: one of the lights or the environment, drawn by luminance, and a direction within its
+    size. A curved surface turns the frame of both at random, as far as the camera sees it turn. Pairs below the horizon
+    of the frame are drawn anew.
 
     Args:
         scene: as ``read_scene`` gives it.
@@ -54,10 +54,11 @@ def directions(
         texels: how many.
         pairs: at each texel.
         seed: same seed, same directions.
-        highlights: the K lobes of each texel that are compared: normals (texels, K, 3) and widths (texels, K), each an
-            alpha. Half of the pairs are then chosen for half vectors there, and weigh less in turn: small lights hardly
-            ever hit a sharp lobe by chance, and some dozens of such pairs tell what thousands of others do.
-        luminance: (sources,) of the lights in order and then the environment, if not all that they have (see
+        highlights: the K lobes of each texel that are compared: normals (texels, K, 3) and widths alpha (texels, K).
+            Half of the pairs are then chosen so that their half vectors lie in these lobes, with smaller weights in
+            return: small lights hardly ever hit a sharp lobe by chance, and a few dozen such pairs tell as much as
+            thousands of others.
+        luminance: (sources,) of the lights in order, then of the environment, to use instead of their own (see
             ``sizes.LightSize``).
 
     Returns:
@@ -92,7 +93,7 @@ def _choose(
 ) -> tuple[NDArray, NDArray]:
     """Which pairs of a pool (N, 2, 3) n texels take, and their weights: both (n, pairs).
 
-    A pair's chance is, in equal parts, that of all and those of GGX lobes at its half vector; its weight the inverse.
+    A pair's chance is half uniform and half in proportion to GGX lobes at its half vector; its weight is the inverse.
     """
     half = pool.sum(axis=1)
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
@@ -105,7 +106,7 @@ def _choose(
         lobe = 1.0 / np.square(1.0 - np.square(cosine) * (1.0 - square[i, :, None]))
         chance = (1.0 - _FOLLOW) + _FOLLOW * (lobe / lobe.mean(axis=1, keepdims=True)).mean(axis=0)
         sums = np.cumsum(chance)
-        # Evenly spaced along the sum, from a random start: each pair as often as its chance says, up to one.
+        # Systematic sampling, evenly spaced from a random start: each pair as often as its chance says, to within one.
         at = np.searchsorted(sums, (np.arange(pairs) + start[i]) / pairs * sums[-1], side="right")
         at = np.minimum(at, _WINDOW - 1)
         chosen[i], weight[i] = first[i] + at, 1.0 / chance[at]
@@ -114,13 +115,13 @@ def _choose(
 
 @cache
 def _surroundings(environment: str) -> tuple[NDArray, float]:
-    """Directions (n, 3) of an environment, as often as its luminance, and the integral of that."""
+    """Directions (n, 3) drawn from an environment by luminance, and the integral of its luminance."""
     found = read_environment(None if environment == PROCEDURAL else environment)
     return found.samples(_ENVIRONMENT_DIRECTIONS)[0], float(LUMINANCE @ found.total())
 
 
 def lights_of(scene: SceneFile) -> Lights | None:
-    """The lights of a scene as the renderer takes them, with their sizes, or None."""
+    """The lights of a scene for the renderer, with their sizes; None if there are none."""
     if not scene.lights:
         return None
     radius = np.radians([0.5 * each.size for each in scene.lights])
@@ -129,7 +130,7 @@ def lights_of(scene: SceneFile) -> Lights | None:
 
 
 def environment_of(scene: SceneFile) -> Environment | None:
-    """The environment of a scene, or None.
+    """The environment of a scene; None if it has none.
 
     Raises:
         InputError: when it cannot be read.
@@ -140,7 +141,7 @@ def environment_of(scene: SceneFile) -> Environment | None:
 
 
 class _Sources:
-    """What lights a scene, and how much of it each is."""
+    """The sources of light of a scene, with their shares of the luminance."""
 
     def __init__(self, scene: SceneFile, shining: NDArray | None = None) -> None:
         self.lights: tuple[Light, ...] = scene.lights
@@ -163,7 +164,7 @@ class _Sources:
         for i, light in enumerate(self.lights):
             mine = which == i
             axis = np.array(light.direction) / np.linalg.norm(light.direction)
-            # Uniform over the disc: any height of the cap is as likely as another.
+            # Uniform over the solid angle of a cap: its height is uniform.
             height = 1.0 - (1.0 - math.cos(math.radians(0.5 * light.size))) * u[0, mine]
             out[mine] = _about(axis, height, 2.0 * math.pi * u[1, mine]) if light.size else axis
         if self.around is not None:
@@ -201,7 +202,7 @@ def _polar(height: NDArray, azimuth: NDArray) -> NDArray:
 
 
 def _about(axis: NDArray, height: NDArray, azimuth: NDArray) -> NDArray:
-    """(n, 3) unit vectors whose part along a unit ``axis`` is ``height``."""
+    """(n, 3) unit vectors whose component along a unit ``axis`` is ``height``."""
     side = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.6 else (0.0, 1.0, 0.0))
     side /= np.linalg.norm(side)
     frame = np.stack([side, np.cross(axis, side), axis])

@@ -1,9 +1,10 @@
-"""The record of a plan, and how verdicts are reached.
+"""The record of a plan, and how its verdicts are reached.
 
-Everything on is the start. Each effect is taken away alone and its loss is measured; those that lose least go first, as
-long as what they may lose together (measured losses plus two standard errors) stays within the budget. All that went is
-then measured together, and what turns out too much comes back. Verdicts stand on dB and on facts of the scene, never on
-timings, so a plan is the same on a busy machine; only a budget of seconds makes timings decide.
+A plan starts with everything on. Each effect is switched off alone and its loss is measured. Effects are then switched
+off in the order of their losses, as long as their summed losses (each with two standard errors added) stay within the
+budget. Finally the loss of all together is measured, and effects are switched on again if it exceeds the budget.
+Verdicts depend on dB and on facts of the scene, so a plan is the same on a busy machine; timings decide only under a
+budget of seconds.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ class EffectRow(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         asked: "auto", "on" or "off", as the scene file says.
         on: the verdict. why: its reason. change: what would change it.
-        contributes_db: SNR that is lost without it, measured; None where a fact of the scene decides.
+        contributes_db: measured SNR that is lost without it; None where a fact of the scene decides.
         uncertain_db: standard error of that.
-        costs_seconds: of the fit, or of a comparison's pictures for what is the judge's, with everything else on.
+        costs_seconds: of the fit, or of a comparison's pictures for the judge's effects, with everything else on.
     """
 
     name: str
@@ -43,22 +44,22 @@ class EffectRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """Seconds of the fit, and SNR in dB of what the scene's cameras see; 40 dB is as good as perfect."""
+    """Seconds of the fit, and SNR in dB of what the scene's cameras see (at most 40, where no error is visible)."""
 
     seconds: float
     snr_db: float
 
 
 class SurfacePlan(msgspec.Struct, frozen=True, kw_only=True):
-    """What one surface of a scene is given.
+    """The plan of one surface of a scene.
 
     Attributes:
         reach: first and last level that are fitted. seen: why.
         options: fields of ``FitOptions`` that differ from the defaults.
         unread: roles of maps that are not read.
-        terms: terms of the judge that are left out. environment: whether it lights by the environment.
-        everything, planned: predicted, with every effect on, and as planned.
-        lost_db, lost_at_most_db: what the plan gives up in all, on the sample, and with two standard errors.
+        terms: terms of the judge that are left out. environment: whether the judge uses the environment as a light.
+        everything, planned: predictions with every effect on, and for the plan.
+        lost_db, lost_at_most_db: loss of the whole plan on the sample, and with two standard errors added.
     """
 
     name: str
@@ -93,20 +94,20 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     surfaces: tuple[SurfacePlan, ...]
 
 
-#: dB that a pass of its own has to bring: it costs several times the fit.
+#: dB that an extra pass must gain, since it costs several times the fit.
 WORTH_A_PASS = 1.0
 
 
 def is_worth_a_pass(loss: Loss) -> bool:
-    """Whether what is lost without an extra pass is shown beyond chance to be worth it."""
+    """Whether the loss without an extra pass exceeds ``WORTH_A_PASS`` by more than two standard errors."""
     return loss.db - 2.0 * loss.error > WORTH_A_PASS
 
 
 class Question(msgspec.Struct, frozen=True, kw_only=True):
-    """What verdicts are reached from.
+    """The basis of the verdicts.
 
     Attributes:
-        losses: measured, by effect. asked: the user's words, by effect. facts: what the scene settles.
+        losses: measured, by effect. asked: settings of the scene file, by effect. facts: what the scene settles.
         budget: dB.
     """
 
@@ -121,23 +122,23 @@ class Question(msgspec.Struct, frozen=True, kw_only=True):
         return sorted(open_, key=lambda name: (self.losses[name].at_most, name))
 
     def settled_off(self) -> set[str]:
-        """Effects that are off by the user's word or, where there is none, by a fact."""
+        """Effects that the scene file switches off, or a fact where the scene file does not switch them on."""
         said = {name for name, word in self.asked.items() if word == "off"}
         return said | {name for name, fact in self.facts.items() if not fact.on and self.asked.get(name) != "on"}
 
 
 def verdicts(question: Question, together: Together) -> tuple[set[str], Loss]:
-    """Names of the effects that go, and what their absence loses in all.
+    """Names of the effects that are switched off, and the loss of all of them together.
 
     Args:
-        question: the measured losses, and what is settled without them.
-        together: measures the loss of several effects at once (those of the judge do not matter to it).
+        question: the measured losses, and the effects settled without them.
+        together: measures the loss of several effects at once (it ignores those of the judge).
     """
     off, spent = question.settled_off(), 0.0
     for name in question.free():
         may_lose = question.losses[name].at_most
         if BY_NAME[name].judge:
-            # Nothing that is baked depends on it: it stands by itself.
+            # It changes no bake, so it does not draw on the common budget.
             off |= {name} if may_lose <= question.budget else set()
         elif BY_NAME[name].extra:
             off |= set() if is_worth_a_pass(question.losses[name]) else {name}
@@ -155,7 +156,8 @@ def verdicts(question: Question, together: Together) -> tuple[set[str], Loss]:
 
 
 def faster(question: Question, off: set[str], costs: Mapping[str, float], excess: float) -> set[str]:
-    """More effects off, the least dB a second first, until they save ``excess`` seconds or none is left."""
+    """Switch off more effects, those with the least dB a second first, until they save ``excess`` seconds or none is
+    left."""
     more = set(off)
     left = [n for n in question.free() if n not in off and not BY_NAME[n].judge and costs.get(n, 0.0) > 0.0]
     for name in sorted(left, key=lambda name: max(question.losses[name].db, 0.0) / costs[name]):

@@ -1,7 +1,8 @@
-"""Which MIP levels of a surface the cameras of a scene can read.
+"""The MIP levels of a surface that the cameras of a scene can read.
 
-How many base texels a pixel spans follows from distance, field of view, resolution and tilt; trilinear filtering reads
-the level below and the level above that number's logarithm (Baker: "determine the object's maximum MIP level").
+Distance, field of view, resolution and tilt give the number of base texels that a pixel spans; trilinear filtering
+reads the levels below and above the base-2 logarithm of that number (Baker: "determine the object's maximum MIP
+level").
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 from brdffit.planning.description import Camera, SceneFile, Surface
 from brdffit.svbrdf import level_sizes
 
-#: Degrees to which a curved surface turns away before its rim is given up (as ``render.scenes.sphere``).
+#: Largest angle in degrees between normal and view on a curved surface; beyond, its rim is ignored (as in
+#: ``render.scenes.sphere``).
 GRAZING = 80.0
 
 # A footprint this close to a power of two reads that level alone.
@@ -27,9 +29,9 @@ class Reach:
     """Levels that are read.
 
     Attributes:
-        first, last: levels, both of them read; those of the texture bound them.
-        ratio_low, ratio_high: base texels that a pixel spans, along the longer axis of its footprint: least and most.
-        sentence: that, for people.
+        first, last: first and last level that are read, within those of the texture.
+        ratio_low, ratio_high: least and most base texels that a pixel spans along the longer axis of its footprint.
+        sentence: the same in words.
     """
 
     first: int
@@ -63,7 +65,7 @@ def reached_levels(scene: SceneFile, surface: Surface, base_size: tuple[int, int
 
 
 def pixel_width(camera: Camera, distance: float) -> float:
-    """Metres across a pixel on a plane that faces the camera at ``distance`` (the same all over the picture)."""
+    """Width in metres of a pixel on a plane that faces the camera at ``distance``, the same all over the picture."""
     return 2.0 * math.tan(math.radians(0.5 * camera.field_of_view)) * distance / camera.resolution[0]
 
 
@@ -90,7 +92,7 @@ def _short(number: float) -> str:
 def _texels_a_pixel(camera: Camera, surface: Surface, texel: float, far: bool) -> float:
     """Base texels along a pixel's footprint, where it is longest (``far``) or shortest."""
     distance, tilt = camera.distances[far], camera.tilts[far]
-    # Farther away more of the ball is seen, so its steepest is seen from there, and its flattest too.
+    # From farther away more of a ball is seen, so its largest turn is the one seen from there, for both ends.
     turn = float(shown_turn(camera, camera.distances[1], surface.radius))
     tilt = max(min(tilt + turn, GRAZING), tilt) if far else max(tilt - turn, 0.0)
     return pixel_width(camera, distance) / (texel * math.cos(math.radians(tilt)))

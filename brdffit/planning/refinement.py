@@ -1,4 +1,4 @@
-"""What the refinement for interpolation contributes and costs: tried on small crops, for it moves whole levels."""
+"""Contribution and cost of the refinement for interpolation, tried on small crops since it moves whole levels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CROPS, _SIDE, _PIXELS = 3, 16, 20
 def try_refinement(
     base: Svbrdf, options: FitOptions, reach: tuple[int, int], lights: Lights | None, seed: int
 ) -> tuple[Loss, float]:
-    """What is lost without it, between texels and halfway between the two finest levels; seconds that it costs.
+    """Loss without refinement, between texels and halfway between the two finest levels; seconds that it costs.
 
     Args:
         base: the set. options: of the bake, everything else on. reach: first and last level.

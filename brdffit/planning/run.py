@@ -25,7 +25,7 @@ from brdffit.textures.texture_set import TextureSet
 
 
 def _nobody(text: str) -> None:
-    """Hears nothing."""
+    """Ignore what is being measured."""
 
 
 def plan_scene(scene: SceneFile, name: str, seed: int = 0, threads: int | None = None, tell: Tell = _nobody) -> Plan:
@@ -34,7 +34,7 @@ def plan_scene(scene: SceneFile, name: str, seed: int = 0, threads: int | None =
     Args:
         scene: of ``read_scene``. name: of its file, for the record.
         seed: of the sampled texels and directions; the same seed gives the same verdicts.
-        tell: hears what is being measured.
+        tell: called with a sentence on what is being measured.
 
     Raises:
         InputError: for a set or an environment that cannot be used.
@@ -49,10 +49,10 @@ def bake_scene(
     scene: SceneFile, plan: Plan, output: Path, *, preview: bool = True, threads: int | None = None,
     progress: ProgressListener | None = None,
 ) -> list[BakeReport]:  # fmt: skip
-    """Bake every surface as its plan says, each into a folder of its name.
+    """Bake every surface by its plan, each into a folder of its name.
 
-    A manifest holds the plan under "plan", and what became of it under "planned and measured", where "measured" is on
-    texels and directions that the plan did not see; seconds stand in the part that is not hashed.
+    The manifest holds the plan under "plan". Its entry "measured" has SNR and loss after the bake, on texels and
+    directions that the plan did not see. Seconds are in the part "volatile", which is not hashed.
 
     Raises:
         InputError, OutputError: as ``bake_to_folder``.
@@ -74,9 +74,9 @@ def bake_scene(
 def comparisons(
     scene: SceneFile, plan: Plan, *, methods: Sequence[str] = (), quick: bool = False, threads: int | None = None
 ) -> tuple[list[TextureSet], list[CompareOptions]]:
-    """The surfaces of a scene, and what a comparison is asked of each: no more than its plan has on.
+    """The surfaces of a scene, and for each the options of a comparison with only the effects that its plan has on.
 
-    A surface whose plan calls for parallax, shadowing or interreflection is compared with its height traced with them.
+    A surface whose plan calls for parallax, shadowing or interreflection is compared with its traced height.
 
     Args:
         methods, quick, threads: as ``CompareOptions.of``.
@@ -106,13 +106,13 @@ def comparisons(
 
 
 def traced_effects(planned: SurfacePlan) -> Effects | None:
-    """What the plan of a surface wants of a traced height; None where its maps will do."""
+    """Effects of a traced height that the plan of a surface has on; None if it has none of them on."""
     on = {row.name for row in planned.effects if row.on and row.name in OFF}
     return effects_without([name for name in OFF if name not in on]) if on else None
 
 
 def _notes(work: SurfaceWork, planned: SurfacePlan, baked: Baked, seconds: float) -> dict[str, Any]:
-    """What the manifest says of the plan."""
+    """Entries of the manifest on the plan and its outcome."""
     outcome, lost = work.outcome(planned, baked, seconds)
     record = msgspec.to_builtins(planned)
     timed = {name: record[name].pop("seconds") for name in ("everything", "planned")}

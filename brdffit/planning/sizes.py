@@ -1,9 +1,9 @@
-"""How large the lights of a scene are, as the fit's ``lights`` option and the plan's own measure take them.
+"""The sizes of the lights of a scene, for the fit's ``lights`` option and the measure of a plan.
 
-A lamp has a size of its own. An environment is taken apart into lights: its luminance is cut into slabs, each between
-two values of luminance, and of a slab every connected patch of sky is a light of its own, as bright as the slab is
-thick: L = sum_k min(max(L - t_k, 0), t_(k+1) - t_k). A sun before a sky becomes a small disc, which holds what the sun
-adds, and a sky as wide as it is.
+A lamp has a size of its own. An environment is decomposed into lights: its luminance is cut into slabs, each between
+two values of luminance, and in each slab every connected patch of sky is a light as bright as the slab is thick:
+L = sum_k min(max(L - t_k, 0), t_(k+1) - t_k). A sun in a sky becomes a small disc with the luminance that the sun adds,
+and a wide light for the sky.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from brdffit.errors import InputError
 from brdffit.planning.description import PROCEDURAL, SceneFile, Surface
 from brdffit.render.environment import Environment
 
-#: Sizes that a scene is told apart into: as many as the fit's own default has, which costs no more time.
+#: Most sizes of light that are distinguished in a scene: as many as the fit's default has, so the fit takes no longer.
 MOST_SIZES = 3
-#: Slabs of an environment's luminance, each with as much of its light, and rows that a picture is made smaller to.
+#: Slabs of an environment's luminance, each with the same part of its light; rows to which a picture is reduced.
 _SLABS, _ROWS = 12, 1024
-#: Radius in degrees below which sizes hardly differ: a fifth of the sun's.
+#: Radius in degrees below which sizes count as equal: a fifth of the sun's.
 _LEAST_RADIUS = 0.05
 
 
@@ -45,11 +45,12 @@ class LightSize(NamedTuple):
 
 
 def light_sizes(scene: SceneFile, surface: Surface) -> list[LightSize]:
-    """Sizes of the lights that shine on a surface, at most `MOST_SIZES`, ascending; those nearest to each other become
-    one (Ward 1963, by the logarithm of the radius, weighed by luminance).
+    """Sizes of the lights that shine on a surface, at most ``MOST_SIZES``, ascending.
+
+    The nearest sizes are merged (Ward 1963, by the logarithm of the radius, weighted by luminance).
 
     Raises:
-        InputError: when the environment cannot be read, or nothing shines.
+        InputError: when the environment cannot be read, or there is no light.
     """
     sources = len(scene.lights) + (scene.environment is not None)
     found: list[LightSize] = []
@@ -75,23 +76,23 @@ def lights_option(sizes: Sequence[LightSize]) -> str:
     """The fit's ``lights`` for these sizes: "point", or radii in degrees with shares."""
     if all(each.radius == 0.0 for each in sizes):
         return "point"
-    # A share too small to be written is still one.
+    # A share that would be written as 0 is raised to the smallest that can be written.
     shares = np.maximum(shares_of(sizes), 0.001)
     return ",".join(f"{each.radius:.3g}:{share:.3f}" for each, share in zip(sizes, shares, strict=True))
 
 
 def shares_of(sizes: Sequence[LightSize]) -> NDArray:
-    """(S,) of all the light, by luminance."""
+    """Share (S,) of each size in all the light, by luminance."""
     luminance = np.array([each.luminance.sum() for each in sizes])
     return luminance / luminance.sum()
 
 
 def environment_sizes(environment: Environment, front: bool) -> list[tuple[float, float]]:
-    """(radius in degrees, luminance) of the lights that an environment is made of.
+    """(radius in degrees, luminance) of the lights into which an environment is decomposed.
 
     Args:
         environment: around the surface.
-        front: whether only what lies before the surface counts, at z > 0.
+        front: whether only the part before the surface counts, at z > 0.
     """
     luminance, solid_angle, z = _small(environment)
     if front:
@@ -115,9 +116,9 @@ def _sizes_around(name: str, front: bool) -> list[tuple[float, float]]:
 
 
 def _small(environment: Environment) -> tuple[NDArray, NDArray, NDArray]:
-    """Luminance, solid angle and z of an environment's pixels, few of them, (h, w) each.
+    """Luminance, solid angle and z of an environment's pixels at a reduced size, (h, w) each.
 
-    Its columns begin behind the surface, so that no light before it lies across the border.
+    Columns begin behind the surface, so that no light before the surface is cut by the border.
     """
     luminance = environment.radiance.astype(np.float64) @ LUMINANCE.astype(np.float64)
     height, width = luminance.shape
@@ -161,6 +162,6 @@ def _merged(sizes: Sequence[LightSize]) -> list[LightSize]:
         luminance[i] += luminance[i + 1]
         radius, luminance = np.delete(radius, i + 1), np.delete(luminance, i + 1, axis=0)
     found = np.exp(radius)
-    # Lights as small as the smallest that is told apart are points, if there were any.
+    # If there was a point light, the smallest size is a point, unless larger lights were merged into it.
     found[0] = 0.0 if points and found[0] <= _LEAST_RADIUS * (1.0 + 1e-9) else found[0]
     return [LightSize(float(r), each) for r, each in zip(found, luminance, strict=True)]

@@ -1,4 +1,4 @@
-"""One surface of a scene: what is read of it, the sample on which effects are tried, its plan and what became of it."""
+"""One surface of a scene: its texture set, the sample on which effects are tried, its plan and the plan's outcome."""
 
 from __future__ import annotations
 
@@ -39,21 +39,21 @@ from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures.texture_set import TextureSet
 
-#: Of the budget, what each texel's own shortcuts may take.
+#: Share of the budget that is the tolerance of a bake without the effect "texels".
 _SHORTCUTS = 0.5
-#: Told what is being done.
+#: Called with a sentence on what is being done.
 Tell = Callable[[str], None]
 
 
 class _Tried(NamedTuple):
-    """What each effect loses by its absence, and the seconds that it costs."""
+    """The loss without each effect, and the seconds that each costs."""
 
     losses: dict[str, Loss]
     costs: dict[str, float]
 
 
 def texture_set_of(surface: Surface) -> TextureSet:
-    """The texture set that a scene file names, its pixels unread."""
+    """The texture set of a surface, with its pixels not read yet."""
     found = open_set(surface.set, surface.reading())
     assert found is not None  # a path is no array
     return found
@@ -119,7 +119,7 @@ class SurfaceWork:
         )  # fmt: skip
 
     def outcome(self, planned: SurfacePlan, baked: Baked, seconds: float) -> tuple[Outcome, Loss]:
-        """What became of a plan, on texels of this seed: seconds and SNR, and what is lost against everything on."""
+        """Outcome of a plan on texels of this seed: seconds and SNR, and the loss against everything on."""
         base = read_set(self.texture_set, {}, FitOptions()).material.svbrdf
         seen = reached_levels(self.scene, self.surface, base.size)
         sample = self._sample(base, seen)
@@ -134,7 +134,7 @@ class SurfaceWork:
         self, base: Svbrdf, sample: Sample, seen: Reach, facts: Mapping[str, Fact], on: Sequence[Svbrdf], found: Errors,
         tell: Tell,
     ) -> _Tried:  # fmt: skip
-        """Take each effect away alone: those that nothing settles, and those that the user settles against a fact."""
+        """Switch off each effect alone: those that nothing settles, and those that the user sets against a fact."""
         everything = self._everything(facts)
         names = [n for n in BY_NAME if n not in facts or self.asked[n] not in ("auto", "on" if facts[n].on else "off")]
         baked = [n for n in names if not BY_NAME[n].judge and n != "refinement"]
@@ -163,14 +163,14 @@ class SurfaceWork:
                 without = sample.errors([on], lights=self._lights(dark))
             else:
                 without = sample.errors([on], Terms(**dict.fromkeys(BY_NAME[name].terms, False)))
-            # Whichever way the judge's figure moves, it moves.
+            # A change of the judge's figure counts in either direction.
             change = loss(without, 0, 0, found)
             losses[name] = Loss(abs(change.db), change.error)
         costs |= judge_costs(base, seen.first, lights, environment, self.threads)
         return _Tried(losses, costs)
 
     def _of_height(self, base: Svbrdf, tried: _Tried, off: set[str]) -> list[str]:
-        """What the plan says of effects that no map shows and the scene calls for."""
+        """Notes on effects that the scene calls for and no map shows."""
         on = [name for name in OFF if name not in off]
         if not on or base.height is None:
             return []
@@ -205,12 +205,12 @@ class SurfaceWork:
         )  # fmt: skip
 
     def _everything(self, facts: Mapping[str, Fact]) -> set[str]:
-        """Effects that are off even with everything on: what the target has no room for."""
+        """Effects that are off even with everything on, because the target cannot store them."""
         return {n for n in ("anisotropy", "scale") if n in facts and not facts[n].on and self.asked[n] != "on"}
 
     def _setup(self, seen: Reach | None, off: Iterable[str]) -> Setup:
         scene = self.scene
-        # A plan is fitted by what it is measured by: the sizes of the scene's own lights.
+        # The fit minimises what the plan measures: errors under the sizes of the scene's own lights.
         options = FitOptions(
             lights=lights_option(self.sizes), model=scene.model, quality=scene.quality, pixel_filter=scene.pixel_filter,
             threads=self.threads,
@@ -237,7 +237,7 @@ class SurfaceWork:
         return sample.seconds([self._setup(seen, off)])[0] + _refining(tried, off)
 
     def _seconds_of_all(self, base: Svbrdf, everything: set[str], tried: _Tried) -> float:
-        """Of all levels with everything on."""
+        """Seconds of all levels with everything on."""
         sample = self._sample_of(base, (0, len(level_sizes(base.size)) - 1))
         return sample.seconds([self._setup(None, everything)])[0] + _refining(tried, everything)
 

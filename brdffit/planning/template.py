@@ -1,4 +1,4 @@
-"""The scene file that ``brdffit scene init`` writes: every field with its default and a word on it."""
+"""The scene file that ``brdffit scene init`` writes: every field with its default and a comment."""
 
 from __future__ import annotations
 
@@ -69,18 +69,18 @@ name = {name:<24} # of its output folder; "": as the set
 
 
 def template(sets: Sequence[str | Path] = (), folder: Path | None = None) -> str:
-    """The text of a scene file with one surface for each set, or for a folder "textures" without any.
+    """The text of a scene file with one surface for each set, or one for a folder "textures" if no set is given.
 
     Args:
         sets: folders or files of texture sets.
-        folder: that of the scene file, to which they are named relative; None: they stand as they are.
+        folder: of the scene file, to which the paths are written relative; None: paths are written as given.
     """
     paths = [Path(os.path.relpath(path, folder) if folder else path).as_posix() for path in sets] or ["textures"]
     bare = [Path(path).with_suffix("") if Path(path).suffix in SUFFIXES else Path(path) for path in paths]
     ends = [path.name for path in bare]
     surfaces = []
     for path, named in zip(paths, bare, strict=True):
-        # Two folders of one name would be written to one place.
+        # Sets of equal names would be written to the same place.
         parts = [part for part in named.parts if part not in ("..", "/")]
         name = ".".join(parts) if ends.count(named.name) > 1 else ""
         surfaces.append(_SURFACE.format(set=_quoted(path), name=_quoted(name)))
@@ -92,7 +92,7 @@ def write_template(path: str | Path, sets: Sequence[str | Path] = (), force: boo
     """Write a commented scene file that names ``sets``.
 
     Raises:
-        OutputError: when it is there already (unless ``force``), or cannot be written; then what was there still is.
+        OutputError: when the file exists (unless ``force``) or cannot be written; an existing file is then unchanged.
     """
     path = Path(path)
     if path.exists() and not force:
@@ -103,5 +103,5 @@ def write_template(path: str | Path, sets: Sequence[str | Path] = (), force: boo
 
 
 def _quoted(text: str) -> str:
-    """A TOML string."""
+    """The text as a TOML string."""
     return json.dumps(text, ensure_ascii=False)

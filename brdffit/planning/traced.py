@@ -1,13 +1,13 @@
-"""What parallax, shadows and interreflection contribute to what a scene's cameras see: effects that no map holds.
+"""Contribution of parallax, shadows and interreflection, effects that no map holds, to what a scene's cameras see.
 
 The truth is traced with all three (``microgeometry``) and with each of them off, at points of the sampled texels'
-footprints, for the same pairs of viewer and light as everything else in a plan. What a picture loses without an effect
-is the squared difference of the two,
+footprints, for pairs of viewer and light drawn as for the rest of a plan. The loss of a picture without an effect is
+the squared difference of the two,
 
-    E[(A - a)(B - b)],    A and B two independent estimates with it, a and b two without it,
+    E[(A - a)(B - b)],    A and B two independent estimates with the effect, a and b two without it,
 
-where A and a share their random numbers, so that they differ by the effect alone. It comes on top of the error that the
-lobes of the maps make anyway (``trial``).
+where A and a share their random numbers, so that they differ by the effect alone. It is added to the error of the maps'
+lobes (``trial``).
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from brdffit.microgeometry.tracer import Effects, Microgeometry
 from brdffit.planning.trial import Errors, Loss, Sample, Shining, loss, timed
 from brdffit.svbrdf import Svbrdf
 
-#: Names of the effects, and what the tracer does without each.
+#: Names of the effects, and the settings of the tracer without each.
 OFF: dict[str, dict[str, Any]] = {
     "parallax": {"displacement": False},
     "shadowing": {"shadowing": False},
     "interreflection": {"bounces": 0},
 }
-#: With all of them on.
+#: The tracer with all of them on.
 BOUNCES = 2
 EVERYTHING = Effects(bounces=BOUNCES)
 #: Sampled texels of a level, pairs of viewer and light at each (the fewest for lights of one size), and points of its
@@ -39,7 +39,7 @@ EVERYTHING = Effects(bounces=BOUNCES)
 _TEXELS, _PAIRS, _LEAST_PAIRS, _POINTS = 48, 64, 16, 8
 #: Points that are timed, points of a traced pixel, and pixels of the pictures of one set in a comparison.
 _TIMED, _SAMPLES, _PIXELS = 20000, 64, 5 * 192 * 192
-#: What a neural material holds for a texel of its base, in bytes: two textures of 7 numbers, one of them a pyramid.
+#: Bytes of a neural material for each base texel: two textures of 7 numbers, one of them a pyramid.
 _NEURAL_BYTES = 4.0 * 7.0 * (1.0 + 4.0 / 3.0)
 _NEURAL_WEIGHTS, _NEURAL_MINUTES, _NEURAL_SIDE = 3332, 10, 512
 
@@ -53,7 +53,7 @@ def effects_without(names: Sequence[str]) -> Effects:
 
 
 def traced_losses(sample: Sample, found: Errors, names: Sequence[str]) -> tuple[dict[str, Loss], dict[str, float]]:
-    """What each named effect loses by its absence, and seconds that it adds to a comparison's reference pictures.
+    """The loss without each named effect, and the seconds that it adds to a comparison's reference pictures.
 
     Args:
         sample: the texels and directions of a plan.
@@ -66,7 +66,7 @@ def traced_losses(sample: Sample, found: Errors, names: Sequence[str]) -> tuple[
     field, effects = HeightField.of(sample.base), [effects_without([name] if name else []) for name in ("", *names)]
     errors = Errors([], [])
     for i, level in enumerate(sample.levels):
-        # A share of the lobes' own error, of the picture's power, is what each effect is held against.
+        # The lobes' own relative error is added to both sides, so that a loss is judged beside it.
         of_lobes = np.maximum(found.error[i][0], 0.0).sum() / max(float(found.reference[i].sum()), 1e-30)
         lost, power = np.zeros((len(names), 1)), np.zeros(1)
         for shining in sample.lights:
@@ -81,7 +81,7 @@ def traced_losses(sample: Sample, found: Errors, names: Sequence[str]) -> tuple[
 
 
 def _squares(sample: Sample, tracers: Sequence[Microgeometry], level: int, shining: Shining) -> tuple[NDArray, NDArray]:
-    """Squared loss (M, n) of the tracers but the first against the first, and its squared radiance (n,)."""
+    """Squared differences (M, n) of all later tracers from the first, and the first one's squared radiance (n,)."""
     columns, rows = (each[:_TEXELS] for each in sample.texels[level])
     count, pairs = len(columns), max(_PAIRS // len(sample.lights), _LEAST_PAIRS)
     view, light, weight = shining.draw(count, pairs, 7919 + level, None)

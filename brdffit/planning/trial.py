@@ -1,11 +1,11 @@
-"""What an effect contributes and costs, measured on a small random sample of texels and directions.
+"""Contribution and cost of an effect, measured on a small random sample of texels and directions.
 
-The figure is that of a picture: the squared error of the radiance that the scene's cameras see of the scene's lights,
-over the square of the true radiance, pooled over the texels of a level and averaged over the levels that are reached.
-No light is sharper than it is large: under lights of an angular radius all lobes are as much wider, the true ones too
-(see ``brdffit.halfangle.lights``), and the squares of several sizes are averaged as they share the light.
-Configurations are held against the truth on the same texels and pairs of directions, so that most of the sampling noise
-cancels in their differences; what is left is estimated by resampling texels (Efron's bootstrap).
+The figure is that of a picture: the squared error of the radiance that the scene's cameras see under the scene's
+lights, over the square of the true radiance, pooled over the texels of a level and averaged over the levels that are
+reached. Under lights of an angular radius all lobes are widened, the true ones too (see ``brdffit.halfangle.lights``),
+and the squares for several sizes are averaged by their shares of the light. Configurations are compared with the truth
+on the same texels and pairs of directions, so that most of the sampling noise cancels in their differences; the
+remaining noise is estimated by resampling texels (Efron's bootstrap).
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from brdffit.render.terms import Terms
 from brdffit.roughness import log_from_tensor, tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 
-#: Relative squared error that nobody sees: a contrast of one percent, about the eye's threshold (40 dB).
+#: Relative squared error that is invisible: a contrast of one percent, about the eye's threshold (40 dB).
 UNSEEN = 1e-4
-#: Sampled texels of levels 0 and 1 (each is dearer further down, so there are fewer there, down to the least), pairs of
-#: light and viewer at each, samples of a footprint, and levels of a surface.
+#: Sampled texels of levels 0 and 1 (coarser levels, whose texels take longer, have fewer, down to the least), pairs of
+#: light and viewer at each, samples of a footprint, and levels of a surface that are measured.
 TEXELS, LEAST_TEXELS, PAIRS, FOOTPRINT, LEVELS = 192, 32, 256, 1024, 4
-#: A fit is timed for at least so long, repeatedly, and the shortest counts; but on no more texels than that.
+#: Least seconds of a timed fit, repeats of which the shortest counts, fewest and most texels.
 _TIMED, _REPEATS, _FEW_TEXELS, _MOST_TEXELS = 0.02, 2, 8, 8192
 _RESAMPLED = 200
 
-#: (view, light, weight) for so many texels and pairs, a seed, and highlights; see ``lighting.directions``.
+#: (view, light, weight), as ``lighting.directions`` returns them; ``Draw`` takes texels, pairs, a seed and highlights.
 Directions = tuple[NDArray, NDArray, NDArray]
 Draw = Callable[[int, int, int, tuple[NDArray, NDArray] | None], Directions]
 
 
 class Shining(NamedTuple):
-    """Lights of one angular radius (degrees), their share of all light, and directions to them and to the viewer."""
+    """Lights of one angular radius (degrees), their share of all light, and a function that draws pairs under them."""
 
     radius: float
     share: float
@@ -53,21 +53,21 @@ class Shining(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """By measured level: squared errors (M, n) of M versions, and squared reference (n,)."""
+    """For each measured level: squared errors (M, n) of M versions, and squares (n,) of the reference."""
 
     error: list[NDArray]
     reference: list[NDArray]
 
 
 class Loss(NamedTuple):
-    """dB that one version lies below another, and the standard error of that."""
+    """dB by which one version is worse than another, and the standard error of that."""
 
     db: float
     error: float
 
     @property
     def at_most(self) -> float:
-        """dB: twice the standard error above, never below 0."""
+        """The loss in dB with two standard errors added, never below 0."""
         return max(self.db + 2.0 * self.error, 0.0)
 
 
@@ -76,11 +76,11 @@ class Sample:
 
     Args:
         base: everything that the set holds.
-        options: of the bake; what effects change of them may differ from trial to trial.
+        options: of the bake; trials may change the fields that effects set.
         reach: first and last level.
-        lights: of the scene, by their size.
+        lights: of the scene, by size.
         seed: of texels and directions.
-        texels: of levels 0 and 1; fewer further down.
+        texels: of levels 0 and 1; coarser levels have fewer.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Sample:
         return 1000 * (self.seed + 1) + level
 
     def versions(self, setup: Setup) -> list[Svbrdf]:
-        """The sampled texels of each level as (n, 1) images, fitted as this setup has it."""
+        """The sampled texels of each level as (n, 1) images, fitted with this setup."""
         return [self._version(level, setup) for level in self.levels]
 
     def picked(self, levels: Sequence[Svbrdf]) -> list[Svbrdf]:
@@ -108,7 +108,7 @@ class Sample:
         return [_picked(levels[level], *self.texels[level]) for level in self.levels]
 
     def aim(self, version: Sequence[Svbrdf]) -> None:
-        """From now on half of the pairs look for highlights: of these lobes, and of the base texels in their middle."""
+        """From now on draw half of the pairs in highlights of these lobes and of the base texels at their centres."""
         self._highlights = []
         for level, fitted in zip(self.levels, version, strict=True):
             columns, rows = self.texels[level]
@@ -144,7 +144,7 @@ class Sample:
         return found
 
     def _directions(self, shining: Shining, i: int, texels: int, sizes: int) -> Directions:
-        """Pairs at the texels of the i-th level; all sizes of light share them out."""
+        """Pairs at the texels of the i-th level; their number is divided among the sizes of light."""
         highlights = None
         if self._highlights is not None:
             normal, width = self._highlights[i]
@@ -158,13 +158,13 @@ class Sample:
         return self._widened[radius]
 
     def seconds(self, setups: Sequence[Setup]) -> list[float]:
-        """Seconds that fitting all reached levels takes with each setup on an idle machine, from some texels.
+        """Seconds for all levels of a pyramid with each setup on an idle machine, estimated from some texels.
 
-        Processor time is counted and shared out over the threads; setups take turns and the shortest of several runs
-        counts, so that what else the machine does disturbs little.
+        Processor time is divided by the number of threads; setups take turns and the shortest of several runs counts,
+        so that other load on the machine matters little.
         """
         first, last = self.reach
-        # Where most texels are; further down, what they cost goes on evenly.
+        # The finest levels have most texels; on coarser ones the cost of a texel changes slowly.
         timed_levels = sorted({min(first + k, last) for k in range(3)} | {(first + last + 2) // 2, last})
         per_texel = np.array([self._seconds_a_texel(level, setups) for level in timed_levels])
         reached = range(self.reach[0], self.reach[1] + 1)
@@ -173,7 +173,7 @@ class Sample:
         around = timed(lambda: list(averaged_levels(self.base, rest, self.options, target)), 1)
         total = []
         for m, setup in enumerate(setups):
-            # Between timed levels the logarithm of a texel's cost is taken to be straight.
+            # Between timed levels the logarithm of a texel's cost is interpolated linearly.
             cost = np.exp(np.interp(reached, timed_levels, np.log(np.maximum(per_texel[:, m], 1e-9))))
             counts = [0 if _is_kept(k, setup) else math.prod(self.sizes[k]) for k in reached]
             total.append(float(cost @ counts) + around)
@@ -189,19 +189,19 @@ class Sample:
                 runs.append(None)
                 pilots.append(0.0)
                 continue
-            # On one thread: what starting others costs a few texels says nothing of a level.
+            # On one thread: starting others costs much for a few texels, and nothing for a whole level.
             sample = self._level_sample(level, setup.unread, many).on_threads(1)
             start = time.process_time()
             settings = sample.settings(setup.options)
             pilots.append(time.process_time() - start)
-            # A whole level is averaged by another way, which costs next to nothing.
+            # Averages are made before timing: a bake averages whole levels, which costs next to nothing.
             sample.averages(setup.options)
             runs.append(_Run(sample, setup.options, settings))
         shortest = [math.inf] * len(setups)
         for _ in range(_REPEATS):
             for m, run in enumerate(runs):
                 shortest[m] = min(shortest[m], 0.0 if run is None else run.seconds_a_texel())
-        # A whole level pays once for its pilot.
+        # A level pays for its pilot fits once.
         return [a / threads + b / texels for a, b in zip(shortest, pilots, strict=True)]
 
     def _version(self, level: int, setup: Setup) -> Svbrdf:
@@ -222,14 +222,14 @@ class Sample:
 
 
 def snr_db(found: Errors, version: int) -> float:
-    """SNR in dB of one version over the measured levels; what nobody sees is counted as error."""
+    """SNR in dB of one version over the measured levels; ``UNSEEN`` is added to the error, so it is at most 40."""
     return -10.0 * math.log10(float(_pooled(found, version, None)) + UNSEEN)
 
 
 def loss(found: Errors, version: int, than: int = 0, of: Errors | None = None) -> Loss:
-    """What ``version`` loses against version ``than`` (of ``of``, on the same texels, if that is another measurement).
+    """Loss of ``version`` against version ``than``, with its standard error over samples of texels of this size.
 
-    Its standard error is that over samples of texels of this size.
+    ``of``: errors that hold ``than``, measured on the same texels; None: ``found``.
     """
     of = found if of is None else of
     random = np.random.default_rng(0)
@@ -239,7 +239,7 @@ def loss(found: Errors, version: int, than: int = 0, of: Errors | None = None) -
 
 
 def _pooled(found: Errors, version: int, texels: list[NDArray] | None) -> NDArray:
-    """Squared error over squared reference of each level, averaged over levels; (R,) for R drawings of texels."""
+    """Squared error over squared reference of each level, averaged over levels; (R,) for R resamplings of texels."""
     shares = []
     for i, (e, r) in enumerate(zip(found.error, found.reference, strict=True)):
         own, square = e[version], r
@@ -264,7 +264,7 @@ def _picked(level: Svbrdf, columns: NDArray, rows: NDArray) -> Svbrdf:
 
 
 class _Run:
-    """Texels of a level, fitted again and again to see what one costs."""
+    """Texels of a level that are fitted repeatedly to find the cost of one."""
 
     def __init__(self, sample: LevelSample, options: FitOptions, settings: Any) -> None:
         def fit(count: int) -> float:
@@ -277,14 +277,14 @@ class _Run:
             self._many = min(4 * self._many, len(sample))
 
     def seconds_a_texel(self) -> float:
-        """Processor seconds; where there are texels enough, without what each call of the loop costs."""
+        """Processor seconds of one texel; with enough texels, without the constant cost of a call."""
         if self._many < 2 * self._few:
             return self._fit(self._many) / self._many
         return max(self._fit(self._many) - self._fit(self._few), 0.0) / (self._many - self._few)
 
 
 def _widened(svbrdf: Svbrdf, radius: float) -> Svbrdf:
-    """Its lobes as lights of some angular radius in degrees let them be seen."""
+    """The lobes as lights of this angular radius in degrees show them."""
     if radius == 0.0:
         return svbrdf
     square = get_model(svbrdf.model).blur * math.radians(0.5 * radius) ** 2
@@ -293,7 +293,7 @@ def _widened(svbrdf: Svbrdf, radius: float) -> Svbrdf:
 
 
 def timed(work: Callable[[], object], threads: int | None) -> float:
-    """Processor seconds of ``work`` over so many threads (None: all cores), and never 0."""
+    """Processor seconds of ``work`` divided by the number of threads (None: all cores), never 0."""
     start = time.process_time()
     work()
     return max(time.process_time() - start, 1e-6) / (threads or os.cpu_count() or 1)

@@ -1,1 +1,1 @@
-"""What accuracy costs in time: everything that can be chosen, on the same texels in the same run."""
+"""What accuracy costs in time: all settings and methods, on the same texels in the same run."""

@@ -1,4 +1,4 @@
-"""From texture sets to tradeoff.json, tradeoff.md and the pictures, and what is said on the way."""
+"""The command ``tradeoff``: from texture sets to tradeoff.json, tradeoff.md, the pictures and tables in a terminal."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run(sources: Sequence[str], output: Path, quick: bool, command: str) -> Trad
 
     Raises:
         InputError: for a set that cannot be read.
-        OutputError: when the folder cannot be written, or holds what no trade-off wrote.
+        OutputError: when the folder cannot be written, or holds a file that no trade-off wrote.
     """
     check_writable(output, _foreign)
     size, console, began = QUICK if quick else Size(), Console(stderr=True), time.perf_counter()
@@ -106,7 +106,7 @@ def _choice_rows(found: Tradeoff) -> list[tuple[str, ...]]:
 
 
 def as_markdown(found: Tradeoff) -> str:
-    """The tables, and how to make them again."""
+    """The tables as Markdown, with the command that made them."""
     ran_on = ", ".join(f"{key} {value}" for key, value in found.machine.items())
     parts = [
         f"# What accuracy costs in time\n\nBy `{found.command}` in {found.seconds:.0f} s on {ran_on}.\n\n"
@@ -134,7 +134,7 @@ def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def show(found: Tradeoff, output: Path) -> None:
-    """The front of each set and the race of the optimisers, on the terminal."""
+    """Print the front of each set, the choices for the presets and the race of the optimisers."""
     console = Console()
     for name in dict.fromkeys(point.set for point in found.points):
         table = Table(title=f"{name}: the front, and the presets", box=None, title_justify="left")

@@ -1,4 +1,4 @@
-"""The trade-off as a picture: time against accuracy, the front drawn through it."""
+"""The trade-off as a picture: accuracy over time, with the Pareto front."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CLOSE = 1.6
 
 
 def draw(tradeoff: Tradeoff, folder: Path) -> list[Path]:
-    """tradeoff.svg and tradeoff.png: for each set half-angle SNR and rendered SNR over seconds per megatexel."""
+    """Write tradeoff.svg and tradeoff.png: for each set half-angle SNR and rendered SNR over seconds per megatexel."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -54,7 +54,7 @@ def draw(tradeoff: Tradeoff, folder: Path) -> list[Path]:
 
 
 def _close_up(axis, fits: list[Point]) -> None:  # type: ignore[no-untyped-def]
-    """The best fits; the oracle, whose time lies far outside, as a line."""
+    """Draw the best fits; the oracle, whose time lies far outside, as a line."""
     reached = max(point.snr_db for point in fits if point.group != "oracle")
     close = [point for point in fits if point.snr_db >= reached - _CLOSE and point.group != "oracle"]
     for point in fits:
@@ -91,7 +91,7 @@ def _panel(axis, points: list[Point], figure: str, title: str, named: tuple[str,
 
 
 def _label(axis, point: Point, value: float, taken: list[tuple[float, float]], span: float, decades: float) -> None:  # type: ignore[no-untyped-def]
-    """Name a point, moved down past names that are there already."""
+    """Write the name of a point, moved down past names that are there already."""
     x, y = math.log10(max(point.seconds_per_megatexel, 1e-9)), value
     while any(abs(x - other_x) < 0.22 * decades and abs(y - other_y) < 0.037 * span for other_x, other_y in taken):
         y -= 0.038 * span

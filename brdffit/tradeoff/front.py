@@ -1,4 +1,4 @@
-"""The Pareto front of points in time and accuracy, the price of each dB along it, and what it says of the presets."""
+"""The Pareto front in time and accuracy, the price of each dB along it, and the settings that it suggests."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from brdffit.halfangle.measure import PERFECT_DB
 from brdffit.tradeoff.record import Choice, Point
 from brdffit.tradeoff.ways import SETTING
 
-#: A way must win this much (dB) to stand on the front behind a faster one: less is noise of the sample.
+#: A way must gain this much (dB) over a faster one to be on the front: less is noise of the sample.
 WORTH = 0.005
 
 
 def with_front(points: Sequence[Point]) -> list[Point]:
-    """The points of one set with ``front`` and ``price`` filled in; order kept.
+    """The points of one set with ``front`` and ``price`` filled in, in the same order.
 
-    Every loss minimises something else than the SNR and every model is a target of its own; all are shown, but only
-    ways to the same end (GGX, L2) can be dominated by each other and stand on the front.
+    Other losses do not minimise the SNR, and other models have other best lobes. Their points are shown but left out of
+    the front (``on_the_same_ground``).
     """
     comparable = [point for point in points if on_the_same_ground(point)]
     best, last = float("-inf"), None
@@ -39,9 +39,9 @@ ALLOWED = {"draft": 0.5, "standard": 0.1, "fine": 0.02}
 
 
 def choices(points: Sequence[Point]) -> list[Choice]:
-    """For each preset the cheapest setting within what it may lose, and the preset itself, over all sets.
+    """For each preset the cheapest setting that loses no more than ``ALLOWED`` over all sets, and the preset itself.
 
-    Where none is within that, it is the setting that loses least.
+    If none stays within that, the setting that loses least is taken.
     """
     sets: dict[str, list[Point]] = {}
     for point in points:
@@ -86,5 +86,5 @@ def _is(point: Point, group: str, name: str) -> bool:
 
 
 def on_the_same_ground(point: Point) -> bool:
-    """Whether a point aims at the least L2 error of a GGX lobe."""
+    """Whether points can be compared on the front: all but those with another loss or another model."""
     return point.group not in ("loss", "model")

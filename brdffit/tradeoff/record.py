@@ -1,4 +1,4 @@
-"""What a trade-off measured, as it is written to tradeoff.json."""
+"""The record of a trade-off, as it is written to tradeoff.json."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import msgspec
 class Point(msgspec.Struct, frozen=True):
     """One way on one set.
 
-    ``seconds_per_megatexel``: of the base, levels 0 to 5 together, on the machine's cores; ``snr_db``: half-angle SNR,
-    mean of the levels in dB; ``rendered_db``: SNR of radiance over pairs of light and viewer, mean of the levels it was
-    measured at; ``energy``: kept, mean; ``levels_db``: half-angle SNR of each level; ``front``: no way is both faster
-    and better; ``price``: seconds per megatexel for each dB more than the way before on the front.
+    ``seconds_per_megatexel``: of the base, levels 0 to 5 together, on all cores; ``snr_db``: half-angle SNR, mean of
+    the levels in dB; ``rendered_db``: SNR of radiance over pairs of light and viewer, mean of the levels where it was
+    measured; ``energy``: mean of the scale over the filtered colour; ``levels_db``: half-angle SNR of each level;
+    ``front``: whether no comparable way is both faster and better; ``price``: seconds per megatexel for each dB gained
+    over the next faster way on the front.
     """
 
     set: str
@@ -29,7 +30,8 @@ class Point(msgspec.Struct, frozen=True):
 
 
 class Solver(msgspec.Struct, frozen=True):
-    """One optimiser on the objective that all share: milliseconds a texel, and dB behind the best end of all."""
+    """One optimiser on the common objective: milliseconds a texel, dB behind the best result of all optimisers (of the
+    mean error, and at the worst texel), evaluations a texel."""
 
     set: str
     name: str
@@ -42,8 +44,8 @@ class Solver(msgspec.Struct, frozen=True):
 class Choice(msgspec.Struct, frozen=True):
     """The cheapest setting that loses at most ``allowed_db`` to the best way, in the mean of all sets, beside a preset.
 
-    ``cost``: seconds over those of standard, geometric mean of the sets; ``behind_db``: mean of the sets, what is above
-    50 dB counting as that; ``worst_db``: of one set; the same three of the preset.
+    ``cost``: seconds over those of standard, geometric mean of the sets; ``behind_db``: dB behind the best way, mean of
+    the sets, levels above 50 dB counting as 50 dB; ``worst_db``: of the worst set; the same three of the preset.
     """
 
     preset: str
@@ -58,7 +60,7 @@ class Choice(msgspec.Struct, frozen=True):
 
 
 class Tradeoff(msgspec.Struct, frozen=True):
-    """All points of a run, and what it ran on."""
+    """All results of a run, with its command, machine and measured texels of each level."""
 
     command: str
     machine: dict[str, Any]

@@ -34,8 +34,8 @@ Texels = Sequence[tuple[NDArray, NDArray]]
 
 @dataclass(frozen=True)
 class Size:
-    """How much of a set is looked at: texels of levels 0 to 5 that are timed, and how many of them are measured; texels
-    of a race; nodes, samples and pairs of the truth."""
+    """Size of the sample: texels of levels 0 to 5 that are timed, and how many of them are measured; texels that are
+    raced; nodes, samples and pairs of the truth; timed repeats."""
 
     timed: tuple[int, ...] = (8192, 8192, 2048, 512, 128, 64)
     texels: tuple[int, ...] = (512, 512, 384, 192, 96, 64)
@@ -47,9 +47,9 @@ class Size:
 
 
 QUICK = Size((4096, 2048, 512, 96, 32, 16), (96, 96, 64, 32, 16, 16), raced=6, nodes=1024, samples=(16, 48), pairs=128)
-#: Levels at which radiance is compared too.
+#: Levels at which radiance is compared as well.
 RENDERED = (1, 3, 5)
-# The diffuse part is the filtered one in every way: a difference there would say nothing of the lobe.
+# The diffuse part is left out: here the lobe is compared.
 _TERMS = Terms(diffuse=False)
 _SEED = 77
 
@@ -71,7 +71,7 @@ def measure_set(name: str, svbrdf: Svbrdf, size: Size, tell: Tell) -> tuple[list
             else:
                 tried.append(_bake(way, svbrdf, texels, size))
         except BrdffitError as error:
-            # Not every set has the heights that a method filters.
+            # Some methods need maps, such as heights, that not every set has.
             tell(f"{name}: {way.name} is left out. {error}")
     tell(f"{name}: measuring")
     _measure(tried, svbrdf, base, measured, size)
@@ -82,7 +82,7 @@ def measure_set(name: str, svbrdf: Svbrdf, size: Size, tell: Tell) -> tuple[list
 
 @dataclass
 class _Tried:
-    """What one way gave: lobes of each level's texels, seconds a texel of the base, and figures a level."""
+    """Results of one way: lobes of each level's texels, seconds a texel of the base, and figures for each level."""
 
     way: Way
     seconds: float
@@ -104,13 +104,13 @@ class _Tried:
         )
 
     def add(self, lobes: Lobes, sample: LevelSample, seconds: float) -> None:
-        """One more level, at so many seconds a texel of it."""
+        """Add a level whose fit takes this many seconds a texel of the level."""
         self.lobes.append(lobes)
         self.seconds += seconds * math.prod(sample.size) / math.prod(sample.base_size)
 
 
 def _bake(way: Way, svbrdf: Svbrdf, texels: Texels, size: Size) -> _Tried:
-    """A closed form is baked whole: it costs by the image, not by the texel."""
+    """Bake the whole pyramid of a closed form: its cost is that of images, not of single texels."""
     method = get_method(way.method)
     options = method.options(levels=len(texels))
     took = []
@@ -133,7 +133,7 @@ def _fit(way: Way, svbrdf: Svbrdf, base: Base, texels: Texels, size: Size) -> _T
 
 
 def _ask_oracle(way: Way, svbrdf: Svbrdf, base: Base, texels: Texels, others: Sequence[_Tried]) -> _Tried:
-    """The end of the curve: the best lobes that many starts and two optimisers find, from the presets' on."""
+    """The oracle: the best lobes that two optimisers find from many starts, those of the presets among them."""
     tried = _Tried(way, 0.0, [])
     presets = [each for each in others if each.way.group == "preset"]
     for mip_level, at in enumerate(texels):
@@ -146,7 +146,7 @@ def _ask_oracle(way: Way, svbrdf: Svbrdf, base: Base, texels: Texels, others: Se
 
 
 def _measure(tried: Sequence[_Tried], svbrdf: Svbrdf, base: Base, texels: Texels, size: Size) -> None:
-    """Fill in the figures: all ways of one lobe model against one truth a texel."""
+    """Measure all ways of a lobe model against the same truth at each texel."""
     for model in dict.fromkeys(each.way.options.model for each in tried):
         own = [each for each in tried if each.way.options.model == model]
         for mip_level, at in enumerate(texels):
@@ -166,7 +166,7 @@ def _measure(tried: Sequence[_Tried], svbrdf: Svbrdf, base: Base, texels: Texels
 
 
 def _timed(sample: LevelSample, way: Way, repeats: int) -> tuple[Lobes, LevelSample, float]:
-    """Lobes of a sample, and the least of a few times; the first run compiles and is not timed."""
+    """Lobes of a sample and the least of a few measured times; a first run, which compiles, is not timed."""
     settings = sample.settings(way.options, way.quality)
     sample.subset(1).fit(float_width=way.float_width, settings=settings)
     took = []
@@ -178,7 +178,7 @@ def _timed(sample: LevelSample, way: Way, repeats: int) -> tuple[Lobes, LevelSam
 
 
 def _per_texel(start: float, sample: LevelSample) -> float:
-    """Seconds a texel since ``start``, were all cores at work."""
+    """Processor seconds a texel since ``start``, divided by the number of cores."""
     return (time.process_time() - start) / (os.cpu_count() or 1) / len(sample)
 
 

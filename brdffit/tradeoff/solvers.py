@@ -1,4 +1,4 @@
-"""Optimisers on one objective, one table a texel: how long each takes and how far behind the best end it stays."""
+"""Optimisers on one objective with one table a texel: the time of each, and its distance from the best result."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from brdffit.halfangle.closed_forms import LEAN
 from brdffit.halfangle.quadrature import BLUE, RED, WEIGHT, lattice
 from brdffit.tradeoff.record import Solver
 
-#: Levels whose texels are raced on, and nodes of the table that all share.
+#: Levels whose texels are used, and nodes of the common table.
 SOLVER_LEVELS = (1, 3)
 _NODES = 320
-#: Evaluations of the global search, and how many search steps it looks around in.
+#: Evaluations of the global search, and its range in search steps.
 _GLOBAL_EVALUATIONS, _GLOBAL_REACH = 1500, 4.0
-#: Share of the error at which optimisers count as having found the same lobe.
+#: Relative squared error of the start below which a texel is skipped: there is nothing left to optimise.
 _STEPS_OF_DIFFERENCE = 1e-5
 
 Solve = Callable[[Problem, NDArray], NDArray]
@@ -44,7 +44,7 @@ def solve_ours(problem: Problem, start: NDArray) -> NDArray:
         theta, float(value), search.free, problem.table, problem.setting, kernels.moments, kernels.log_normalisation,
         search.tolerance, 0.0, search.iterations, search.rescaled, space,
     )  # fmt: skip
-    # Looked up once: typing the arguments takes far longer than the search.
+    # Compiled and looked up once: typing the arguments takes far longer than the search.
     run = _COMPILED.get(id(kernels.moments)) or _COMPILED.setdefault(id(kernels.moments), compiled(minimise, arguments))
     _, evaluations, _ = run(*arguments)
     problem.evaluations += evaluations
@@ -77,8 +77,8 @@ def solve_scipy_bfgs(problem: Problem, start: NDArray) -> NDArray:
 def solve_least_squares(problem: Problem, start: NDArray) -> NDArray:
     """theta (6,) where Levenberg and Marquardt's damped Gauss-Newton steps end (SciPy's least_squares).
 
-    Its residuals are those of the lobe at its best scale (variable projection); their derivatives are differences, for
-    the kernels hold only those of the sum.
+    Its residuals are those of the lobe at its best scale (variable projection). Their derivatives are finite
+    differences, since the kernels give only the derivatives of the sum.
     """
     columns, _ = problem.scaled(start)
     root = np.sqrt(problem.nodes[WEIGHT].astype(np.float64))
@@ -90,7 +90,7 @@ def solve_least_squares(problem: Problem, start: NDArray) -> NDArray:
         return (root * (target - scale[:, None] * problem.values)).ravel() / norm
 
     norm = math.sqrt(max(float(np.sum(root**2 * target**2)), 1e-30))
-    # Difference steps are relative to the variables: around 1, so that none vanishes and float32 sums are told apart.
+    # Difference steps are relative to the variables, which lie around 1 so that steps exceed the noise of float32 sums.
     end = optimize.least_squares(residuals, np.ones(columns.shape[1]), method="lm", diff_step=1e-3, ftol=1e-7)
     return start + columns @ (end.x - 1.0)
 
@@ -121,7 +121,7 @@ def race(name: str, samples: Sequence[LevelSample]) -> list[Solver]:
         for column, row in zip(sample.columns, sample.rows, strict=True):
             start = problem.clamped(problem.set_footprint(sample.base, int(column), int(row))[LEAN])
             if problem.settle(start)[0] < _STEPS_OF_DIFFERENCE:
-                continue  # nothing to race for
+                continue
             if not errors[next(iter(SOLVERS))]:
                 solve_ours(problem, start)  # compiles
             for solver, solve in SOLVERS.items():

@@ -1,4 +1,4 @@
-"""What is tried: each way to a pyramid, or to one texel's lobe, by name."""
+"""The ways that a trade-off compares: each method, preset and setting, by name."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from brdffit.models import model_names
 
 TOLERANCES = (0.5, 0.2, 0.1, 0.03)
 NODES = (32, 96, 320, 1280)
-#: Group of the ways that presets are chosen among: each preset, its first rule with so many nodes.
+#: Group of the ways among which presets are chosen: each preset with these numbers of nodes in its first rule.
 SETTING, SETTING_NODES = "setting", (64, 96, 160, 256, 384, 640)
-#: What is not the bake of a method: the fit, timed by the texel, and the end of the curve.
+#: Ways that are not timed as whole bakes: the fit, timed by the texel, and the oracle.
 FIT, ORACLE = "bfgs", "oracle"
 
 
@@ -24,9 +24,10 @@ class Way:
     """One way to fit a level.
 
     Attributes:
-        group: what is varied: method, preset, tolerance, nodes, setting, model, lobe, loss or float; or the oracle.
+        group: what is varied: method, preset, tolerance, nodes, setting, model, lobe, lights, loss or float; or
+            "oracle".
         name: as shown.
-        method: of the registry, timed as a whole bake; or FIT or ORACLE.
+        method: name of a method, timed as a whole bake; or FIT or ORACLE.
         options: of the bake.
         quality: overrides the preset of the options, or None.
         float_width: of the sums, 32 or 64.
@@ -41,9 +42,9 @@ class Way:
 
 
 def ways() -> list[Way]:
-    """All that is tried, the closed forms first, the oracle last.
+    """All ways, the closed forms first, the oracle last.
 
-    What is measured is the half-angle error under point lights, so that is what most are asked for.
+    The half-angle error under point lights is measured, so most ways minimise it.
     """
     standard = get_quality("standard")
     found = [Way("method", name, method=name) for name in lobe_method_names() if name != FIT]
@@ -71,5 +72,5 @@ def ways() -> list[Way]:
 
 
 def fixed_nodes(quality: Quality, nodes: int) -> Quality:
-    """A preset that takes this many nodes for every texel, whatever its error estimate says."""
+    """A preset with this many nodes for every texel, whatever its error estimate is."""
     return dataclasses.replace(quality, nodes=(nodes, nodes, nodes), trusted=math.inf)
