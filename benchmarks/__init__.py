@@ -1,4 +1,4 @@
 """Benchmarks: speed, memory, start-up, the integral, accuracy against an oracle. ``python -m benchmarks --quick``.
 
-One file a concern; each returns a ``Section`` of records. Losing rows stay in.
+Each concern has a file, which returns a ``Section`` of records. Rows that lose stay in.
 """

@@ -1,4 +1,4 @@
-"""``python -m benchmarks [--quick] [--materials FOLDER] [-o FOLDER]``: run them, write the record, show the table."""
+"""``python -m benchmarks [--quick] [--materials FOLDER] [-o FOLDER]``: run all, write and show the record."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ CONCERNS = (
 )
 @click.option("--set", "sets", multiple=True, help="Accuracy of these sets alone.")
 def main(quick: bool, materials: Path, output: Path, only: tuple[str, ...], sets: tuple[str, ...]) -> None:
-    """Measure speed, memory, start-up and accuracy; bench.json and bench.md in the output folder."""
+    """Measure speed, memory, start-up and accuracy; write bench.json and bench.md into the output folder."""
 
     def tell(text: str) -> None:
         click.echo(text, err=True)
 
     def save(section: Section) -> None:
-        """Written as it grows, so that an interrupted run leaves what it had."""
+        """Write the record as it grows, so that an interrupted run leaves what it has measured."""
         shown = [*sections, section, *([accuracy.with_means(section)] if section.name == "accuracy" else [])]
         (output / "bench.json").write_text(json.dumps(as_record(about, shown), indent=1) + "\n", encoding="utf-8")
         (output / "bench.md").write_text(as_markdown(about, shown), encoding="utf-8")

@@ -21,7 +21,7 @@ ORACLE_GAP, MARGIN = 0.1, 2.5
 CLOSED_FORMS = ("naive", "toksvig", "vmf", "lean", "filament", "godot")
 LEVELS = 6
 _THREADS = 2
-# Baking a closed form and measuring it round a little differently; figures this close (dB) are the same.
+# Baking a closed form and measuring it round differently; figures this close (dB) count as equal.
 _EQUAL = 0.005
 
 
@@ -30,7 +30,8 @@ def measure_accuracy(
 ) -> Section:
     """SNR in dB of every method and of the oracle, on random texels of every level of every set.
 
-    ``save`` is called after each set with what there is: a full run takes long. ``only``: these sets.
+    ``save`` is called after each set with the section so far, since a full run takes long. ``only``: names of sets, or
+    none for all.
     """
     texels = 60 if quick else 200
     section = Section(
@@ -85,7 +86,7 @@ def compare_set(name: str, svbrdf: Svbrdf, texels: int, qualities: tuple[str, ..
 
 
 def targets(rows: list[dict]) -> list[Target]:
-    """The issue's targets, each with the worst case that was seen."""
+    """The project's targets, each with the worst measured case."""
     if not rows:
         return []
     where = "{set}, level {level}".format

@@ -1,16 +1,17 @@
-"""What the best single lobe would reach in a view that stays behind: is the lobe at fault, or the fit?
+"""The best single lobe in a view where the fit stays behind: is the lobe at fault, or the fit?
 
     python -m benchmarks.best_lobe --set coarse-sand --view far-environment [--texels 3] [--evaluations 1500]
 
-A few random texels of the view's level, each on a patch of its own: every pixel of the patch has the texel's footprint,
-and looks from a direction of the view's picture. The patch is rendered by the reference, by the texel as each method
-bakes it, and by lobes that Nelder and Mead's search (1965) finds for one figure alone, from the methods' texels:
+A few random texels of the view's level are drawn, each as a patch: every pixel of the patch has the texel's footprint
+and is seen from a direction of the view's picture. The patch is rendered by the reference, with the texel as each
+method bakes it, and with lobes that Nelder and Mead's search (1965) finds for a single figure, started from the
+methods' texels:
 
-- SNR: the squared error of radiance, free of the reference's noise;
+- SNR: the squared error of radiance, without the reference's noise;
 - displayed: the mean absolute difference of tone-mapped pixels at the view's own exposure, which FLIP follows.
 
-The lobe is free: normal, roughness tensor, specular and diffuse colour. Where a search for a figure ends no better than
-the best closed form, no lobe is better there and the fit is not at fault.
+The lobe is free: normal, roughness tensor, specular and diffuse colour. Where the search for a figure finds nothing
+better than the best closed form, a single lobe can do no better and the fit is not at fault.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 
 #: Side of a patch in pixels.
 _SIDE = 14
-#: Relative squared error that nobody sees: 40 dB.
+#: Relative squared error that is invisible: 40 dB.
 _SEEN = 1e-4
 _COLUMNS = ("bfgs", "naive", "toksvig", "vmf", "lean")
 #: First steps of the search: slopes, log tensor, logs of colours.
@@ -55,7 +56,7 @@ class Patch:
         centre = (column + 0.5) * scale[0], (row + 0.5) * scale[1]
         scene = _footprint(_few_pixels(view.scene), centre, scale, base)
         self.reference: Reference = bench.studio.reference(bench.base, scene, view.lit)
-        # The lobe alone is a texture of one texel.
+        # A single lobe is rendered as a texture of one texel.
         self.scene = _footprint(scene, (0.5, 0.5), (1.0, 1.0), (1, 1))
         whole = bench.references()[view.key].radiance
         self.exposure = metrics.exposure_of(whole)
@@ -69,7 +70,7 @@ class Patch:
         return float(squared), float(np.abs(shown - self.truth).mean())
 
     def best(self, figure: int, starts: list[Svbrdf], evaluations: int) -> tuple[float, Svbrdf]:
-        """The least error of one kind, and its texel: a search from the best start, then again from where it ended."""
+        """The least error of one kind and its texel: the search runs from the best start, then from its own end."""
         start = min(starts, key=lambda texel: self.errors(texel)[figure])
         theta = parameters(start)
 
@@ -95,7 +96,7 @@ def parameters(texel: Svbrdf) -> NDArray:
 
 
 def texel_of(theta: NDArray, like: Svbrdf) -> Svbrdf:
-    """The (1, 1) image of ``parameters``."""
+    """The (1, 1) image with these ``parameters``."""
     normal = np.array([-theta[0], -theta[1], 1.0]) / np.sqrt(1.0 + theta[0] ** 2 + theta[1] ** 2)
     log_tensor, specular, diffuse = theta[2:5].copy(), np.exp(theta[5:8]), np.exp(theta[8:11])
     log_tensor[:2] = np.clip(log_tensor[:2], -14.0, 1.0)
@@ -113,7 +114,7 @@ def _few_pixels(scene: Scene) -> Scene:
 
 
 def _footprint(scene: Scene, centre: tuple[float, float], scale: tuple[float, float], size: tuple[int, int]) -> Scene:
-    """The same directions, and one footprint for all pixels."""
+    """The scene with the same directions, and one footprint for all pixels."""
     pixels = scene.pixels
     axes = np.broadcast_to(np.diag(scale), (*pixels, 2, 2)).copy()
     return dataclasses.replace(scene, centre=np.broadcast_to(centre, (*pixels, 2)).copy(), axes=axes, base_size=size)
@@ -123,7 +124,7 @@ def measure(
     bench: Bench, key: str, texels: int, evaluations: int, columns: tuple[str, ...] = _COLUMNS,
     tell: Callable[[str], None] = print,
 ) -> list[dict[str, object]]:  # fmt: skip
-    """Rows of the table: each method, and the best lobe for each figure, mean of the texels."""
+    """Rows of the table: each method, and the best lobe for each figure, averaged over the texels."""
     view = next(each for each in bench.views if each.key == key)
     level = int(view.level or 0)
     pyramids = {}

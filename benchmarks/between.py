@@ -1,9 +1,9 @@
 """What to interpolate between texels and levels: Sigma or its logarithm: `python -m benchmarks.between SET...`.
 
-Levels of LEAN and of the fit are drawn twice, with the roughness tensor interpolated as it is stored (alpha^2) and as
-its logarithm, and both pictures are held against the reference. Only what lies between texel centres differs: half a
-texel aside, half a level down, a floor that recedes, and a ball. Printed as Markdown: SNR in dB with alpha^2, and what
-the logarithm gains. The middle of a large set is taken.
+Levels of LEAN and of the fit are rendered twice, with the roughness tensor interpolated as stored (alpha^2) and as its
+logarithm, and both pictures are compared with the reference. They differ only between texel centres, so the scenes look
+there: half a texel aside, half a level down, a floor that recedes, and a ball. Printed as Markdown: SNR in dB with
+alpha^2, and the gain of the logarithm. Of a large set the middle is taken.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ METHODS: dict[str, dict[str, Any]] = {"lean": {}, "bfgs": {"quality": "draft"}}
 
 
 class LogPyramid(LobePyramid):
-    """As ``LobePyramid``, but the logarithm of the tensor is interpolated."""
+    """A ``LobePyramid`` that interpolates the logarithm of the tensor."""
 
     @cached_property
     def images(self) -> list[NDArray]:
@@ -45,13 +45,13 @@ class LogPyramid(LobePyramid):
         ]
 
     def look_up(self, lookups: Lookups) -> Lobes:
-        """The trilinear value for each pixel, its tensor the exponential of what was interpolated."""
+        """The trilinear value for each pixel, with the exponential of the interpolated logarithm as its tensor."""
         lobes = super().look_up(lookups)
         return lobes._replace(tensor=tensor_from_log(lobes.tensor))
 
 
 def drawn_in_numpy(pyramid: LobePyramid) -> Any:
-    """The same appearance for the path in numpy: compiled loops would read the levels themselves."""
+    """The same appearance for rendering in numpy: compiled loops would read the levels directly."""
     return SimpleNamespace(
         **{name: getattr(pyramid, name) for name in ("base_size", "look_up", "evaluate", "sample", "pdf")}
     )
@@ -70,7 +70,7 @@ def views(size: tuple[int, int]) -> dict[str, scenes.Scene]:
 
 
 def middle(base: Svbrdf) -> Svbrdf:
-    """At most SIDE texels a side."""
+    """The middle of a base, at most SIDE texels a side."""
     top, left = (max(0, (side - SIDE) // 2) for side in base.size)
     part = slice(top, top + SIDE), slice(left, left + SIDE)
     return base.replace(**{name: np.ascontiguousarray(array[part]) for name, array in base.arrays().items()})

@@ -1,7 +1,7 @@
-"""Really off: a fit without an effect takes the time of code, or of data, that never had it.
+"""The cost of effects that are off: a fit without an effect must take no longer than code or data that never had it.
 
-Beside the fit with the effect and the one without it stands a third, of the same texels: of a base that lacks what the
-effect is about, or with kernels made from sources out of which the effect's lines were cut, text and all.
+Three fits of the same texels are timed: with the effect, without it, and one that never had it. The third is of a base
+that lacks what the effect needs, or uses kernels from whose source the lines of the effect were cut.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.procedural import make_set
 from brdffit.textures.reading import read_texture_set
 
-#: How much longer a fit without an effect may take than one that never had it.
+#: Share by which a fit without an effect may take longer than one that never had it.
 ALLOWED = 0.03
 _SET, _LEVELS = "metal-plates-006", 2
 _WITHOUT_NORMAL = ("normal",)
@@ -46,7 +46,7 @@ _WITHOUT_NORMAL = ("normal",)
 
 @dataclass(frozen=True)
 class Row:
-    """What is timed: with the effect, without it, and where it never was."""
+    """The fits that are timed: with the effect, without it, and one that never had it."""
 
     effect: str
     never: str
@@ -86,9 +86,9 @@ def measure_effects(materials: Path, quick: bool) -> Section:
 
 
 def _timed(row: Row, rounds: int) -> dict[str, Any]:
-    """Medians of a row; each round begins with another of the three, so that none is always the first."""
+    """Medians of a row. Each round begins with another of the three, so that none is always the first."""
     for way in row.ways:
-        way()  # compiles, and warms what there is to warm
+        way()  # compiles and warms caches
     seconds = np.zeros((rounds, 3))
     for k in range(rounds):
         for way in np.roll(np.arange(3), k):
@@ -114,7 +114,7 @@ def _with_error(ratios: NDArray) -> str:
 
 
 def _base(materials: Path, side: int) -> Svbrdf | str:
-    """A crop of a real set, or of a shipped one, with a diffuse colour of its own."""
+    """A crop of a real set, or of a shipped one if there is none, with a diffuse colour."""
     path = real_sets(materials).get(_SET)
     loaded = load_procedural("hammered-metal", 2 * side) if path is None else load_any(_SET, path)
     if isinstance(loaded, str):
@@ -192,7 +192,7 @@ def _of_reading(materials: Path, scratch: Path) -> Row:
 
 
 class _Cut(ast.NodeTransformer):
-    """Takes out of a kernel's source what its switches leave out."""
+    """Removes the code from a kernel's source that its switches leave out."""
 
     def __init__(self, switches: dict[str, bool]) -> None:
         self.switches = switches
@@ -224,16 +224,16 @@ class _Cut(ast.NodeTransformer):
 
 
 def without_lines(template: Any, **switches: bool) -> str:
-    """Source of a kernel without what these switches leave out: neither the switches nor their lines are in it."""
+    """Source of a kernel without these switches and without the lines that they leave out."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(template.py_func)))
     return ast.unparse(ast.fix_missing_locations(_Cut(switches).visit(tree)))
 
 
 @cache
 def _kernels_without(**switches: bool) -> batch.ModelKernels:
-    """GGX's kernels, compiled from such sources."""
+    """GGX's kernels, compiled from sources without these switches."""
     name = "_".join(switches).lower()
-    folder = Path(_jit.CACHE_FOLDERS["fitting"]) / "benchmark"  # a place that stays: kernels are cached by it
+    folder = Path(_jit.CACHE_FOLDERS["fitting"]) / "benchmark"  # a lasting place: kernels are cached by it
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"without_{name}.py"
     text = ["import math", "import numpy as np", "from brdffit._jit import kernel"]
@@ -248,7 +248,7 @@ def _kernels_without(**switches: bool) -> batch.ModelKernels:
     spec = importlib.util.spec_from_file_location(f"without_{name}", file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # a cached kernel names the module it is of
+    sys.modules[spec.name] = module  # a cached kernel names its module
     spec.loader.exec_module(module)
     model = get_model("ggx")
     full = batch.model_kernels("ggx", "ggx")

@@ -1,7 +1,7 @@
-"""The error over all pairs of l and v by chance, and the same by the half-angle integral; values and times of both.
+"""The error over all pairs of l and v by Monte Carlo, and by the half-angle integral; values and times of both.
 
-The chance side is written out in NumPy from the definitions (GGX, the bilinear base), and shares no kernel but the
-gathering of the footprint with the integral.
+The Monte Carlo side is written in NumPy from the definition of GGX. The only kernel that it shares with the integral is
+the one that gathers the lobes of the footprint.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOBE_COLUMNS, NODE_ROWS,
 from brdffit.methods import get_method
 from brdffit.svbrdf import Svbrdf
 
-#: Standard errors within which chance must agree: four are beyond 1 in 15,000 a texel.
+#: Standard errors within which Monte Carlo must agree: four are exceeded by chance once in 15,000 texels.
 AGREEMENT = 4.0
 _NODES, _SAMPLES = 4096, (8, 8)
 _PAIRS_AT_ONCE = 20_000
@@ -37,7 +37,7 @@ class Estimate(NamedTuple):
 
 
 def measure_integrals(quick: bool) -> Section:
-    """LEAN's lobe on level 2 of a rough enough set: chance finds few half vectors in a sharp lobe."""
+    """Measure LEAN's lobe on level 2 of a rough set: Monte Carlo draws few half vectors inside a sharp lobe."""
     section = Section(
         "integrals",
         "Four dimensions against two",
@@ -70,7 +70,7 @@ def measure_integrals(quick: bool) -> Section:
 
 
 def compare(svbrdf: Svbrdf, level: Svbrdf, column: int, row: int, pairs: int) -> tuple[Estimate, Estimate]:
-    """(4-D by chance, 2-D) of sum_c <(T_c - rho_c D)^2> for one texel of an isotropic GGX base."""
+    """Estimates of sum_c <(T_c - rho_c D)^2> for one texel of an isotropic GGX base: Monte Carlo in 4-D, and in 2-D."""
     base = base_of(svbrdf)
     strata = dense_strata(svbrdf.size, level.size, "box", _SAMPLES)
     theta = lobe_parameters(level, np.array([column]), np.array([row]))
@@ -133,9 +133,9 @@ def _cosine_directions(random: np.random.Generator, count: int) -> NDArray:
 
 
 def _anisotropic_ggx(half: NDArray, theta: NDArray) -> NDArray:
-    """D(h) of theta by the definition: 1 / (pi sqrt(det Sigma) (u' Sigma^-1 u + (n.h)^2)^2)."""
+    """D(h) of theta by definition: 1 / (pi sqrt(det Sigma) (u' Sigma^-1 u + (n.h)^2)^2)."""
     normal = np.array([-theta[0], -theta[1], 1.0]) / np.sqrt(1.0 + theta[0] ** 2 + theta[1] ** 2)
-    # The rotation that takes z to n by the shortest way.
+    # The shortest rotation from z to n.
     x, y, z = normal
     tangents = np.array([[1 - x * x / (1 + z), -x * y / (1 + z), -x], [-x * y / (1 + z), 1 - y * y / (1 + z), -y]])
     eigenvalues, vectors = np.linalg.eigh([[theta[2], theta[4]], [theta[4], theta[3]]])

@@ -1,4 +1,4 @@
-"""The sets that are measured: real ones where there are any, the shipped procedural ones otherwise."""
+"""The sets that are measured: real ones if there are any, otherwise the procedural ones that ship."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.procedural import SETS, make_set
 from brdffit.textures.reading import read_texture_set
 
-#: The sets whose mean margin over LEAN and vMF is a target; the first of them are those of a quick run.
+#: The sets whose mean margin over LEAN and vMF is a target; a quick run takes the first of them.
 NAMED = ("metal-plates-006", "ice-002", "white-tiles-grout", "smudged-mirror-imperfections003", "coarse-sand")
 QUICK_SETS = 3
 #: Side of the part of a set that ``crop`` takes, in texels.
@@ -60,7 +60,7 @@ def load_any(name: str, path: Path | None, size: int = 1024) -> Svbrdf | str:
 
 
 def tiled(svbrdf: Svbrdf, times: int) -> Svbrdf:
-    """The same set, ``times`` times in either direction: more texels of the very same kind."""
+    """The set repeated ``times`` times in either direction: more texels of the same kind."""
     arrays = {name: np.tile(a, (times, times) + (1,) * (a.ndim - 2)) for name, a in svbrdf.arrays().items()}
     return svbrdf.replace(**arrays)
 
@@ -84,8 +84,8 @@ def every_set(materials: Path) -> dict[str, Path | None]:
 def crop(name: str, path: Path | None, side: int = CROP) -> Svbrdf:
     """A part of a set, ``side`` texels square (all of a smaller one); of a shipped one where there is no path.
 
-    Of the tiles of a grid it is that whose spread of normals and roughness is the median one: neither the emptiest nor
-    the busiest place of an atlas. It tiles as the set does: the seam is in every method's and the reference's picture.
+    It is the tile of a grid with the median spread of normals and roughness: neither the emptiest nor the busiest place
+    of an atlas. It tiles as the set does; the seam is in every method's picture and in the reference.
 
     Raises:
         InputError: when the set cannot be read.

@@ -1,7 +1,7 @@
 """Speed of neural materials: a step of training, and a picture of 1920x1080 with and without what is kept over lights.
 
-Run ``python -m benchmarks.neural``. Rates are the best of several windows, since a machine that does other work only
-ever makes them lower; those by processor time are of one core.
+Run ``python -m benchmarks.neural``. Rates are the best of several windows, since other work on the machine can only
+lower them. Rates by processor time are those of one core.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _PICTURE = 1920 * 1080
 
 
 def best(work: Callable[[], object], windows: int = 12) -> tuple[float, float]:
-    """Seconds by the clock, and by the processor, of the best window each."""
+    """Least wall-clock seconds and least processor seconds of several windows."""
     clock, processor = [], []
     for _ in range(windows):
         start, used = time.perf_counter(), time.process_time()
@@ -32,7 +32,7 @@ def best(work: Callable[[], object], windows: int = 12) -> tuple[float, float]:
 
 
 def steps(threads: int | None, with_offset: bool) -> tuple[float, float]:
-    """Million queries a second that are learned, by the clock and by processor time."""
+    """Million queries a second in training, by wall-clock time and by processor time."""
     rng = np.random.default_rng(0)
     learner = Learner(Network(Design(_SIZE, True, with_offset)), threads)
     queries = batch_of(_SIZE, rng)
@@ -59,7 +59,7 @@ def main() -> None:
             )
     reader = Learner(Network(Design(_SIZE)))
     queries = random_queries(_PICTURE, _SIZE, np.random.default_rng(1), 1.0)
-    # As a picture: neighbours see neighbouring texels.
+    # As in a picture, neighbouring pixels see neighbouring texels.
     row, column = np.divmod(np.arange(_PICTURE), 1920)
     queries[:, 0], queries[:, 1] = 0.5 * column % _SIZE[1], 0.5 * row % _SIZE[0]
     features = reader.look_up(queries)

@@ -1,9 +1,9 @@
 """Errors of neural materials of the shipped sets beside those of Kuznetsov et al. 2021, Table 3.
 
-Run ``python -m benchmarks.neural_sets``; ``--steps`` and ``--size`` say how long and how large each is learned, and
-``--ways`` which ways: default, no-offset, paper. Rows are MSE x 10^3 of pictures at 45 degrees, level by level, with
-the noise of the truth taken out; a white matt surface that faces the light is 1. The paper's surfaces are others of the
-same kinds, learned at 512x512 texels for 45 minutes on a GPU: its rows say what is usual, not what is to be beaten.
+Run ``python -m benchmarks.neural_sets``; ``--steps`` and ``--size`` set how long and at which size each set is learned,
+``--ways`` in which ways: default, no-offset, paper. Rows are MSE x 10^3 of pictures at 45 degrees, level by level,
+without the noise of the truth; a white matt surface that faces the light is 1. The paper's surfaces are others of the
+same kinds, learned at 512x512 texels for 45 minutes on a GPU, so its rows give an order of magnitude, not a target.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from brdffit.neural.source import open_source
 from brdffit.neural.training import NeuralTask
 from brdffit.textures.procedural import make_set
 
-#: Shipped sets with a height to be seen.
+#: Shipped sets with visible heights.
 SETS = ("pebbles", "cliff", "insulation-foam", "woven-fabric", "turtle-shell")
 #: MSE x 10^3 at levels 0 to 7, Table 3.
 PAPER = {
@@ -36,7 +36,7 @@ WAYS = {"default": {}, "no-offset": {"with_offset": False}, "paper": {"paper": T
 
 
 def learned(name: str, way: str, size: int, steps: int, folder: Path) -> tuple[list[float], float]:
-    """MSE x 10^3 of each level of a set learned in one way, and seconds of processor time of its training."""
+    """MSE x 10^3 of each level of a set learned in one way, and processor seconds of its training."""
     source = folder / name
     if not source.exists():
         make_set(name, source)

@@ -1,4 +1,4 @@
-"""Plans of scenes against what then happens: seconds predicted and measured, and what is lost on texels not sampled."""
+"""Plans of scenes against their bakes: predicted and measured seconds, and the loss on texels that were not sampled."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.procedural import SETS, make_set
 
 _SCENES = ROOT / "data" / "scenes"
-#: The scene that all sets are put into: small lights, a glTF target, many levels.
+#: The scene for all sets: small lights, a glTF target, many levels.
 _FOR_ALL = "panel.toml"
 
 
 def measure_plans(materials: Path, quick: bool) -> Section:
-    """The shipped scenes as they are, and real sets in one of them; full mode also bakes everything on."""
+    """Measure the shipped scenes, and real sets in one of them; a full run also bakes with everything on."""
     section = Section(
         "plans",
         "Plans",

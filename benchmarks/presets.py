@@ -1,9 +1,9 @@
-"""What each preset's pictures keep of what was baked: `python -m benchmarks.presets SET... [--fast]`.
+"""Accuracy of each preset's pictures against the baked levels: `python -m benchmarks.presets SET... [--fast]`.
 
-Every set is baked once by LEAN (its levels are as varied as any, and it takes no time), and its pyramid is written by
-every preset. Printed as a table in Markdown: SNR in dB of the decoded pictures at levels 1 and 3 (with colours, and of
-the lobe alone), what compression costs the roughness tensor (its SNR with the normals held), and the mean angle
-between normals. It compares what was baked and what is stored: not how well the bake keeps the appearance.
+Every set is baked once by LEAN (its levels are as varied as any, and it is quick), and its pyramid is written by every
+preset. Printed as a table in Markdown: SNR in dB of the decoded pictures at levels 1 and 3 (with colours, and of the
+lobe alone), SNR of the roughness tensor alone (normals as baked), and the mean angle between normals. The table
+compares stored with baked levels; it does not say how well the bake keeps the appearance.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a benchmark says: rows, targets met or missed, and the machine it ran on; as JSON and as Markdown."""
+"""The record of benchmarks: rows, targets met or missed, and the machine, as JSON and as Markdown."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True)
 class Target:
-    """A figure that the project holds itself to. ``passed`` is None where it was not measured."""
+    """A target of the project for one figure. ``passed`` is None if it was not measured."""
 
     name: str
     expected: str
@@ -26,13 +26,13 @@ class Target:
 
     @property
     def verdict(self) -> str:
-        """PASS, MISS, or that it was not measured."""
+        """PASS, MISS or "not measured"."""
         return "not measured" if self.passed is None else "PASS" if self.passed else "MISS"
 
 
 @dataclass
 class Section:
-    """One concern: what was measured and how, its rows (all with the same keys) and its targets."""
+    """One concern: what was measured and how, its rows (all with the same keys), its targets."""
 
     name: str
     title: str
@@ -53,7 +53,7 @@ def machine() -> dict[str, Any]:
 
 
 def _commit() -> str:
-    """Short commit of the checkout, with "+" where files differ from it."""
+    """Short commit of the checkout, with "+" if files differ from it."""
     try:
         head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
         changed = subprocess.run(
@@ -65,7 +65,7 @@ def _commit() -> str:
 
 
 def as_record(about: dict[str, Any], sections: Sequence[Section]) -> dict[str, Any]:
-    """Everything, for JSON."""
+    """The whole record, for JSON."""
     found = []
     for section in sections:
         record = dataclasses.asdict(section)
@@ -75,7 +75,7 @@ def as_record(about: dict[str, Any], sections: Sequence[Section]) -> dict[str, A
 
 
 def as_markdown(about: dict[str, Any], sections: Sequence[Section]) -> str:
-    """Everything, for reading; the targets of all sections come last."""
+    """The whole record as Markdown; the targets of all sections come last."""
     lines = ["# Benchmarks", "", ", ".join(f"{key} {value}" for key, value in about.items()), ""]
     for section in sections:
         lines += [f"## {section.title}", "", section.note, "", *table(section.rows), ""]
@@ -87,7 +87,7 @@ def as_markdown(about: dict[str, Any], sections: Sequence[Section]) -> str:
 
 
 def table(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Lines of a Markdown table, numbers to the right."""
+    """Lines of a Markdown table, with numbers aligned to the right."""
     if not rows:
         return ["(nothing measured)"]
     names = list(rows[0])

@@ -1,4 +1,4 @@
-"""What pictures cost: reference and methods, seconds a megapixel, and the share of each term of the BRDF."""
+"""The cost of pictures: seconds a megapixel of reference and methods, and the share of each term of the BRDF."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from brdffit.render.reference import render_halves, render_reference
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
 
-#: A picture of 256x256 at level 7 of a 1024x1024 set takes seconds, so that a whole comparison takes minutes.
+#: Target for a picture of 256x256 at level 7 of a 1024x1024 set, with which a whole comparison takes minutes.
 FAR_SECONDS = 10.0
 _SIDE, _PIXELS = 1024, (256, 256)
 _FAR = 7
@@ -60,7 +60,7 @@ def measure_rendering(materials: Path, quick: bool) -> Section:
 
 
 def _rows(name: str, svbrdf: Svbrdf, quick: bool) -> list[dict[str, object]]:
-    """One row a scene and light; the shares of terms stand in the far one's."""
+    """One row for each scene and light; the row of the far scene holds the shares of the terms."""
     pyramid = get_method("lean").bake_lobes(svbrdf, FitOptions())
     near, middle, far = (scenes.plane(svbrdf.size, min(k, len(pyramid) - 1), _PIXELS) for k in (0, 3, _FAR))
     shown = [(near, None), (middle, None), (far, None)]
@@ -95,7 +95,7 @@ def _rows(name: str, svbrdf: Svbrdf, quick: bool) -> list[dict[str, object]]:
 
 
 def _shares(svbrdf: Svbrdf, scene: scenes.Scene) -> dict[str, object]:
-    """Percent of the reference's time that goes when a term is left out."""
+    """Percent of the reference's time that is saved by leaving out each term."""
 
     def seconds(terms: Terms) -> float:
         def render() -> None:

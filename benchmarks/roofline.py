@@ -1,4 +1,4 @@
-"""The share of the machine that the kernels and the whole bake reach: operations counted, peak measured in one run."""
+"""The share of the machine's peak that kernels and fit reach: operations counted, peak measured in the same run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from brdffit.models import model_names
 from brdffit.svbrdf import level_sizes
 from brdffit.tradeoff.ways import fixed_nodes
 
-# Operations a node, an exponential or a division counted as one. Moments: 15 for u, v and c; 3 + 1 for q and C; 5 for
+# Operations a node; an exponential or a division counts as one. Moments: 15 for u, v and c; 3 + 1 for q and C; 5 for
 # GGX and its derivatives; 12 for products of these and of the weights; 24 for the sums of the target and of the lobe.
 MOMENT_FLOP = 60
 # A base lobe at a node: 5 for the chord, 6 for sin^2, cos, q and C, 3 for GGX, 5 for the sums (grey, isotropic).
@@ -35,15 +35,15 @@ _TURNS = 60
 KERNEL_SHARE, BAKE_SHARE = 0.30, 0.15
 _SLOWER = 2.0
 
-#: Something to time, and its operations.
+#: A function to time, and its number of operations.
 Job = tuple[Callable[[], object], float]
 
 
 @kernel
 def _multiply_add(x, rounds, m, c):
-    """Chains of a = a * m + c, eight rows of ``x`` (8, lanes) at a time: none waits for another, few for memory.
+    """Chains of a = a * m + c on eight rows of ``x`` (8, lanes): the chains are independent and need little memory.
 
-    m and c are arguments, for a compiler that knew them would fold a chain into one multiply-add.
+    m and c are arguments, because a compiler that knew them would fold a chain into one multiply-add.
     """
     for _ in range(rounds):
         for i in range(x.shape[1]):
@@ -126,7 +126,7 @@ def _peak_work() -> Job:
 
 
 def _rates(jobs: dict[str, Job]) -> dict[str, float]:
-    """Operations a second of each job, in turns: what else the machine does meets all of them alike."""
+    """Operations a second of each job. Jobs take turns, so that other load on the machine affects all of them alike."""
     took: dict[str, list[float]] = {what: [] for what in jobs}
     for turn in range(_TURNS):
         for what, (work, _) in jobs.items():
@@ -138,7 +138,7 @@ def _rates(jobs: dict[str, Job]) -> dict[str, float]:
 
 
 def _moments(model: str) -> Job:
-    """Value and gradient of the objective."""
+    """The sums for value and gradient of the objective."""
     nodes = np.random.default_rng(0).uniform(0.1, 1.0, (NODE_ROWS, _NODES)).astype(np.float32)
     frame, out = np.array([2.0, 0, 0, 0, 2.0, 0, 0, 0, 1.0]), np.zeros(MOMENTS)
     calls = 500

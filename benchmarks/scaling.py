@@ -1,4 +1,4 @@
-"""Whether the cost of a texel stays what it is as sets grow, and what a large bake needs of memory."""
+"""The cost of a texel as sets grow, which should stay constant, and the memory of a large bake."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from brdffit.textures.procedural import make_set
 
 FLATNESS, MEMORY_GIB = 0.20, 6.0
 _SET, _SMALLEST = "hammered-metal", 256
-#: Levels that are timed: the costliest of a pyramid a texel, and nine tenths of its texels.
+#: Levels that are timed: their texels are the costliest, and they hold nine tenths of all texels.
 _LEVELS = 3
 
 _BAKE = """
@@ -72,7 +72,7 @@ def measure_scaling(quick: bool) -> Section:
 
 
 def _memory(section: Section, side: int) -> None:
-    """Bake in a process of its own; its peak goes into the row of this size."""
+    """Bake in a process of its own and write its peak memory into the row of this size."""
     row = next(row for row in section.rows if row["size"] == f"{side}x{side}")
     with tempfile.TemporaryDirectory() as scratch:
         small = make_set(_SET, Path(scratch) / "small", _SMALLEST)

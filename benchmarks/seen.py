@@ -1,13 +1,13 @@
-"""What the eye sees: candidates for the fit's default against the closed forms, in every still view of every set.
+"""Visible errors: candidates for the fit's default against the closed forms, in every still view of every set.
 
     python -m benchmarks.seen [-o FOLDER] [--column "bfgs loss=relative"] [--set NAME] [--anew] [--summary]
 
-A column is a method with its options, as ``brdffit bake`` takes them. Everything is done on the crop of 256 x 256
-texels of ``materials.crop``, with pictures as ``brdffit compare --quick`` takes them; the reference of a set is
-rendered once and kept. Each set and column is a record of its own in FOLDER (SET/COLUMN.json, displayed pictures
-beside it), so a run that was cut off goes on where it ended, and a new candidate costs its own column alone. The
-summary is of what lies in the folder: summary.md holds the table, the losers and the losing views; worst.png the views
-in which the first column is furthest behind, beside the reference and the best.
+A column is a method with options. Everything is measured on the crop of 256 x 256 texels of ``materials.crop``, with
+the pictures of ``brdffit compare --quick``; the reference of a set is rendered once and kept. Each set and column has a
+record of its own in FOLDER (SET/COLUMN.json, displayed pictures beside it), so a run that was cut off continues where
+it ended, and a new candidate costs only its own column. The summary covers all records in the folder: summary.md holds
+the table and the losing views; worst.png shows the views in which the first column is furthest behind, beside the
+reference, averaging, LEAN and vMF.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 
 COLUMNS = ("bfgs", "bfgs loss=relative", "bfgs lights=point", "naive", "toksvig", "vmf", "lean")
 """The first is the default that is judged."""
-#: Side of the pictures, two thirds of it under lights that have a size.
+#: Side of the pictures in pixels; two thirds of it under lights with a size.
 _PIXELS = 96
-#: Shown in worst.png.
+#: Views shown in worst.png.
 _WORST = 12
 
 
@@ -58,7 +58,7 @@ class Bench:
         self.views = still_views(self.base.size, len(level_sizes(self.base.size)), self.studio)
 
     def references(self) -> dict[str, Reference]:
-        """Pictures by the reference of each view, from disk where they are."""
+        """The reference picture of each view, read from disk if it is there."""
         path = self.folder / "references.npz"
         digest = _digest(self.base)
         if path.is_file():
@@ -102,7 +102,7 @@ class Bench:
         }, shown
 
     def run(self, columns: tuple[str, ...], anew: bool) -> None:
-        """Those columns that are not on disk, or all of them anew."""
+        """Measure the columns that are not on disk, or all if ``anew``."""
         todo = [c for c in columns if anew or not (self.folder / f"{slug(c)}.json").is_file()]
         if not todo:
             return
@@ -115,23 +115,23 @@ class Bench:
 
 
 def slug(column: str) -> str:
-    """A column's name as that of a file."""
+    """The name of a column's file."""
     return re.sub(r"[^a-z0-9.,:]+", "-", column.lower()).replace(":", "_")
 
 
 def save_pictures(path: Path, pictures: dict[str, NDArray]) -> None:
-    """Displayed pictures as uint8, by view."""
+    """Save displayed pictures as uint8, by view."""
     shown: dict[str, Any] = {k: np.rint(255.0 * np.nan_to_num(p)).astype(np.uint8) for k, p in pictures.items()}
     np.savez_compressed(path, **shown)
 
 
 def read_records(folder: Path) -> list[dict[str, Any]]:
-    """Every record that lies in a folder."""
+    """All records in a folder."""
     return [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*/*.json"))]
 
 
 def draw_worst(folder: Path, losing: list[dict[str, Any]], columns: list[str], path: Path, most: int = _WORST) -> None:
-    """Losing views, a row each: the reference, then every column, under one line of words."""
+    """Draw losing views, one row each: the reference and every column, under a line of text."""
     rows = []
     for each in losing[:most]:
         names = ["reference", *columns]

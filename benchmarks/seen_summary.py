@@ -10,12 +10,12 @@ import numpy as np
 
 from benchmarks.record import Section, Target, table
 
-#: Closed forms that filter; averages ("naive") do not.
+#: Closed forms that widen lobes; averages ("naive") do not.
 FILTERS = ("lean", "vmf", "toksvig")
 AVERAGES = "naive"
-#: Asked: shares of the views, and energy of every level.
+#: Targets: shares of the views, and energy of every level.
 _FIRST, _NOT_BEHIND, _AHEAD, _ENERGY = 0.9, 0.95, 0.75, (0.9, 1.1)
-#: SNR beyond which nobody sees a difference, and the slack of a figure that counts as no worse.
+#: SNR above which differences are invisible, and the differences of figures that do not count as worse.
 _PERFECT_DB, _SLACK_DB, _SLACK_FLIP, _SLACK_SSIM = 40.0, 1.0, 1e-3, 2e-3
 _NOTE = (
     "Still views of each set (near, mid, far by points, lamps and an environment; slanted; a sphere): in how many a "
@@ -29,7 +29,7 @@ View = Mapping[str, Mapping[str, float]]
 
 
 def by_view(records: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], dict[str, dict[str, float]]]:
-    """Figures by (set, view) and column, of views that all closed forms have."""
+    """Figures by (set, view) and column, for views in which all closed forms were measured."""
     found: dict[tuple[str, str], dict[str, dict[str, float]]] = defaultdict(dict)
     for record in records:
         for key, figures in record["views"].items():
@@ -38,7 +38,7 @@ def by_view(records: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], dict[
 
 
 def verdicts(view: View, column: str) -> dict[str, bool]:
-    """What a column reaches in one view."""
+    """Verdicts on a column in one view, by name."""
     mine = view[column]
     filters = [view[name] for name in FILTERS if name != column]
     others = [*filters, *([view[AVERAGES]] if column != AVERAGES else [])]
@@ -54,7 +54,7 @@ def verdicts(view: View, column: str) -> dict[str, bool]:
 
 
 def summary(records: Sequence[Mapping[str, Any]], judged: str) -> tuple[Section, list[dict[str, Any]]]:
-    """The table, a row a column with the judged one first, and the views in which that one is behind, worst first."""
+    """The table, one row a column with the judged one first; the views in which that one is behind, worst first."""
     views = by_view(records)
     columns = list(dict.fromkeys([judged, *sorted({record["column"] for record in records})]))
     section = Section("seen", "What is seen", _NOTE)

@@ -1,4 +1,4 @@
-"""How fast: fits a second, the whole pyramid, and LEAN beside it in the same run."""
+"""Speed: fits a second, the whole pyramid, and LEAN beside it in the same run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SIDE = 1024
 
 
 def measure_speed(materials: Path, quick: bool) -> Section:
-    """GGX, five parameters, standard quality, box filter, all cores."""
+    """Measure fits with GGX, five parameters, standard quality, box filter, all cores."""
     section = Section(
         "speed",
         "Speed",
@@ -48,7 +48,7 @@ def measure_speed(materials: Path, quick: bool) -> Section:
 
 def _row(name: str, svbrdf: Svbrdf, quality: str, runs: int) -> dict[str, object]:
     fit, lean = get_method("bfgs"), get_method("lean")
-    # Level 0 kept as authored costs nothing: what is left of two levels is level 1.
+    # Level 0 kept as authored costs nothing, so of two levels only level 1 is timed.
     only_level_1 = FitOptions(quality=quality, levels=2, keep_level_0=True)
     seconds = []
     for _ in range(runs):
@@ -57,7 +57,7 @@ def _row(name: str, svbrdf: Svbrdf, quality: str, runs: int) -> dict[str, object
     texels = level.svbrdf.size[0] * level.svbrdf.size[1]
     lean.bake_lobes(svbrdf, FitOptions())
     lean_seconds = [_timed(lean, svbrdf, FitOptions()) for _ in range(runs)]
-    # A whole pyramid takes long enough to be timed once or twice.
+    # A whole pyramid takes so long that few repeats suffice.
     pyramid_seconds = [_timed(fit, svbrdf, FitOptions(quality=quality)) for _ in range(max(1, runs - 3))]
     whole, of_lean = statistics.median(pyramid_seconds), statistics.median(lean_seconds)
     assert level.evaluations is not None
@@ -80,7 +80,7 @@ def _timed(method, svbrdf: Svbrdf, options: FitOptions) -> float:  # type: ignor
 
 
 def _worst(name: str, rows: list[dict], column: str, bound: float, at_least: bool = False) -> Target:
-    """The target holds on every set; the worst is shown."""
+    """A target that must hold on every set, shown with the worst set."""
     if not rows:
         return Target(name, f"{'>=' if at_least else '<='} {bound:,g}", "no set of this size", None)
     row = min(rows, key=lambda r: r[column] if at_least else -r[column])

@@ -1,4 +1,4 @@
-"""How long until something happens: help, the first compile on a machine, and the start of every later run."""
+"""Time until something happens: help, the first compile on a machine, and the start of every later run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from brdffit.textures.procedural import make_set
 
 HELP_SECONDS, COMPILE_SECONDS, START_SECONDS, BESIDE_SECONDS = 0.5, 45.0, 2.0, 2.5
 
-# The moment the first texel is fitted, on the clock that the parent reads too.
+# Exits with the seconds of preparing and the time when the first texels are fitted, on a clock that the parent shares.
 _FIRST_TEXEL = """
 import sys, time
 from brdffit.fitting.options import FitOptions
@@ -30,7 +30,7 @@ after = time.time()
 fit.bake_lobes(svbrdf, FitOptions(levels=1), lambda *_: sys.exit(f"{after - before} {time.time()}"))
 """
 
-# LEAN, for it hardly takes any time itself: what remains is start, reading, measuring, preview and files.
+# LEAN hardly takes any time itself, so the rest is start, reading, measuring, preview and files.
 _BESIDE = """
 import sys
 from brdffit.pipeline import bake_to_folder
@@ -39,7 +39,7 @@ print(bake_to_folder(sys.argv[1], sys.argv[2], method="lean").seconds["fitting"]
 
 
 def measure_startup(quick: bool) -> Section:
-    """Every figure is of a process of its own."""
+    """Measure each figure in a process of its own."""
     section = Section(
         "startup",
         "Start-up",
@@ -88,14 +88,14 @@ def measure_startup(quick: bool) -> Section:
 
 
 def _run(command: list[str], environment: dict[str, str]) -> tuple[float, str]:
-    """Wall-clock seconds of a process, and its words if it failed."""
+    """Wall-clock seconds of a process, and its message if it failed."""
     start = time.perf_counter()
     done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True)
     return time.perf_counter() - start, done.stderr if done.returncode else ""
 
 
 def _first_texel(maps: Path, environment: dict[str, str]) -> tuple[float, float]:
-    """(seconds of compiling or loading, seconds from the process's start until its first texels are fitted)."""
+    """(seconds of compiling or loading kernels, seconds from a process's start until its first texels are fitted)."""
     start = time.time()
     done = subprocess.run(
         [sys.executable, "-c", _FIRST_TEXEL, str(maps)], env=environment, cwd=ROOT, capture_output=True, text=True

@@ -17,12 +17,12 @@ from brdffit.halfangle.measure import PERFECT_DB, random_texels, snr
 from brdffit.svbrdf import Svbrdf, level_sizes
 
 TOLERANCE = 0.1
-#: Texels of levels 0 to 4 that are timed, and of each how many are measured.
+#: Texels of levels 0 to 4 that are timed, and how many of each level are measured.
 _TIMED, _MEASURED = (8192, 8192, 2048, 512, 96), 128
 
 
 def measure_tolerance(materials: Path, quick: bool) -> Section:
-    """Standard quality and a tolerance of 0.1 dB, fitted in turn on the same texels; the oracle as what is best."""
+    """Compare standard quality with a tolerance of 0.1 dB, fitted in turn on the same texels, and with the oracle."""
     section = Section(
         "tolerance",
         "Tolerance",

@@ -1,9 +1,9 @@
-"""``python -m benchmarks.tracer [SET]``: what tracing a height costs, beside Embree, and what its effects are worth.
+"""``python -m benchmarks.tracer [SET]``: the cost of tracing a height, beside Embree, and the value of its effects.
 
-Rays are those that matter: from the highest point of the surface down to it, in directions over the hemisphere. Embree
-(embreex, the extra ``tracers``) gets the same triangles, three tiles by three, on one thread as ours. An effect's worth
-is the SNR of a picture without it against one with all (20 log10 of signal over difference), near at 60 degrees from
-the normal; two independent estimates keep noise out of it.
+Rays start at the height of the highest point and go down to the surface, in directions over the hemisphere. Embree
+(embreex, the extra ``tracers``) gets the same triangles, three tiles by three, on one thread as ours. The value of an
+effect is the SNR of a close-up without it against one with all effects (20 log10 of signal over difference), 60 degrees
+from the normal; two independent estimates keep noise out of it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _RAYS, _SIDE, _SAMPLES, _REPEATS = 200000, 96, 16, 3
 
 
 def shortest(work: Callable[[], object]) -> float:
-    """Seconds of the shortest of some runs, the first of which is thrown away."""
+    """Seconds of the shortest of some runs; the first run is not counted."""
     runs = []
     for _ in range(_REPEATS + 1):
         start = time.perf_counter()
@@ -63,7 +63,7 @@ def triangles(height: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def rays_a_second(field: HeightField) -> tuple[float, float | None, float | None]:
-    """Ours, Embree's, and the largest difference of distances in texels; None without embreex."""
+    """Rays a second of ours and of Embree, and the largest difference of distances in texels; None without embreex."""
     origin, direction = rays_down(field, _RAYS)
     found = np.empty((_RAYS, 5))
     ours = shortest(lambda: meet_rows(field.height, field.maxima, field.levels, origin, direction, found))
@@ -121,7 +121,7 @@ def effects_table(field: HeightField) -> list[tuple[str, float, float | None]]:
 @click.command()
 @click.argument("source", required=False, type=click.Path(path_type=Path))
 def main(source: Path | None) -> None:
-    """Print both tables, of SET or of the shipped pebbles at 256 texels."""
+    """Print both tables for SET, or for the shipped pebbles at 256 texels."""
     with tempfile.TemporaryDirectory() as folder:
         field = HeightField.of(
             to_svbrdf(read_texture_set(source or make_set("pebbles", Path(folder) / "pebbles", 256)))
