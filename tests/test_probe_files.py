@@ -14,7 +14,7 @@ from test_probe_cubemap import latlong, write_exr
 from brdffit.cli import main
 from brdffit.errors import InputError
 from brdffit.probes import cli
-from brdffit.probes.bake import ProbeOptions, make_probe
+from brdffit.probes.bake import ProbeOptions, bake_probe, make_probe
 from brdffit.probes.containers import (
     RADIANCE_FORMATS,
     pack_r11g11b10f,
@@ -24,9 +24,10 @@ from brdffit.probes.containers import (
     unpack_rgb9e5,
     write_cube,
 )
-from brdffit.probes.cubemap import directions, halved
+from brdffit.probes.cubemap import directions, halved, mean_radiance
 from brdffit.probes.curves import CURVES
-from brdffit.probes.filtering import METHODS
+from brdffit.probes.direct import packed_source
+from brdffit.probes.filtering import METHODS, Exact
 from brdffit.probes.harmonics import nine_basis
 from brdffit.probes.presets import PRESETS
 from brdffit.probes.reading import LAYOUTS
@@ -238,6 +239,35 @@ def test_scaling_keeps_what_clamping_cuts(tmp_path):
     scaled = make_probe(tmp_path / "sun.exr", ProbeOptions(size=32, levels=3, texel_format="rgba16f", scale=True))
     assert scaled.clamped == 0 and scaled.scale < 1.0
     assert max(level.radiance.max() for level in scaled.levels) <= 65504.0
+
+
+@pytest.mark.parametrize(
+    "changes, changed",
+    [
+        (dict(fit="lookup", texel_format="rgba32f"), [1, 2]),
+        (dict(preset="godot", split=20.0), [0]),
+        (dict(texel_format="rgba16f"), [0]),
+    ],
+    ids=["fitted", "cut", "clamped"],
+)
+def test_the_figures_of_a_level_are_those_of_its_texels_as_they_are_stored(tmp_path, changes, changed):
+    picture = latlong(64)
+    picture[20, 40] = 3e6
+    write_exr(tmp_path / "sun.exr", picture)
+    options = ProbeOptions(**{"size": 32, "levels": 4, "picture": False, **changes})
+    probe, manifest = bake_probe(tmp_path / "sun.exr", tmp_path / "out", options)
+    for level, told in zip(probe.levels, manifest["levels"], strict=True):
+        request = level.request
+        if request.alpha == 0.0:
+            assert request.n == probe.source.shape[1]
+            error = relative_l1(level.radiance, probe.source)
+        else:
+            error, bias = Exact(packed_source(probe.source), request).error_and_bias(level.radiance)
+            assert told["bias"] == pytest.approx(bias, abs=2e-6)
+        energy = mean_radiance(level.radiance).sum() / mean_radiance(probe.source).sum()
+        assert told["error"] == pytest.approx(error, abs=2e-6)
+        assert told["energy"] == pytest.approx(energy, abs=2e-6)
+    assert all(manifest["levels"][k]["error"] > 0.02 for k in changed)
 
 
 def test_no_stored_lobe_is_narrower_than_its_texel(tmp_path):

@@ -27,6 +27,7 @@ from brdffit.probes.filtering import (
     LevelRequest,
     filter_levels,
     level_requests,
+    measured,
     with_radiance,
 )
 from brdffit.probes.harmonics import irradiance_nine, nine_basis
@@ -162,9 +163,14 @@ def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = No
         rest, _ = split_bright(levels[0].radiance, options.split)
         levels[0] = with_radiance(levels[0], rest)
         notes.append(f"Level 0 is cut at {options.split:g} times the mean: light the scene with the sun besides.")
-    levels, scale, clamped = _within_format(levels, preset, options.scale, notes)
+    scale, clamped, largest = _within_format(levels, preset, options.scale, notes)
+    if clamped:
+        levels = [with_radiance(level, np.minimum(level.radiance, np.float32(largest))) for level in levels]
+    # What is measured is what is stored: texels may have been fitted, cut or clamped since they were filtered.
+    levels = measured(levels, source, threads)
     if scale != 1.0:
-        irradiance, nine = with_radiance(irradiance, irradiance.radiance * scale), nine * scale
+        levels = [replace(level, radiance=level.radiance * np.float32(scale)) for level in levels]
+        irradiance, nine = replace(irradiance, radiance=irradiance.radiance * np.float32(scale)), nine * scale
     seconds["irradiance and sun"] = time.perf_counter() - began
     return Probe(
         surroundings, preset, curve, source, levels, irradiance, nine, nine_error, sun, clamped, scale, notes, seconds
@@ -191,15 +197,15 @@ def _filtered(
     narrow = [str(each.level) for each in requests if each.points > 1]
     if narrow:
         notes.append(f"Lobes of level {', '.join(narrow)} are narrower than a texel there and were averaged over it.")
+    missed = [str(e.request.level) for e in levels if e.error is not None and e.error > options.tolerance]
+    if missed and options.method == "tree":
+        notes.append(f"Level {', '.join(missed)} errs by more than the tolerance of {options.tolerance:g}.")
     if options.fit == "lookup":
         from brdffit.probes.lookup import fitted_to_lookup
 
         fitted, before, after = fitted_to_lookup(source, [each.radiance for each in levels], curve, threads)
         levels = [with_radiance(level, radiance) for level, radiance in zip(levels, fitted, strict=True)]
         notes.append(f"Levels were fitted to what {curve.name} looks up: error {before:.3f} before, {after:.3f} after.")
-    missed = [str(e.request.level) for e in levels if e.error is not None and e.error > options.tolerance]
-    if missed and options.method == "tree":
-        notes.append(f"Level {', '.join(missed)} errs by more than the tolerance of {options.tolerance:g}.")
     return levels, irradiance
 
 
@@ -238,22 +244,22 @@ def _tables(options: ProbeOptions, curve: Curve) -> tuple:
 
 def _within_format(
     levels: list[FilteredLevel], preset: ProbePreset, scale_down: bool, notes: list[str]
-) -> tuple[list[FilteredLevel], float, int]:
-    """Levels that the format can hold, the factor that they were scaled by, and how many texels were clamped."""
+) -> tuple[float, int, float]:
+    """Factor by which levels fit into the format, how many texels must be clamped instead, and to which value."""
     largest = RADIANCE_FORMATS[preset.texel_format].largest if preset.container != "exr" else float("inf")
     peak = max(float(level.radiance.max()) for level in levels)
     if peak <= largest:
-        return levels, 1.0, 0
+        return 1.0, 0, largest
     if scale_down:
         scale = float(2.0 ** np.floor(np.log2(largest / peak)))
         notes.append(f"Radiance reaches {peak:.0f}: everything was multiplied by {scale:g}, multiply it back.")
-        return [with_radiance(level, level.radiance * np.float32(scale)) for level in levels], scale, 0
+        return scale, 0, largest
     clamped = sum(int((level.radiance > largest).any(axis=-1).sum()) for level in levels)
     notes.append(
         f"Radiance reaches {peak:.0f}: {clamped} texel{'s' * (clamped != 1)} clamped to {largest:.0f}, the most that "
         f"{preset.texel_format} holds; --scale keeps them."
     )
-    return [with_radiance(level, np.minimum(level.radiance, np.float32(largest))) for level in levels], 1.0, clamped
+    return 1.0, clamped, largest
 
 
 def request_digest(path: Path, options: ProbeOptions) -> str:
@@ -343,7 +349,8 @@ def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], comman
         },
         "source_size": int(probe.source.shape[1]),
         "method": options.method,
-        "error_is": "relative L1 of radiance against brute force on at most 64 texels a level",
+        "error_is": "relative L1 of radiance against brute force on at most 64 texels a level; of a copied level "
+        "against the source on all texels; before texels are rounded to the format",
         "levels": levels,
         "irradiance": {
             "size": IRRADIANCE_SIZE,

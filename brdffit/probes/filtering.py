@@ -61,8 +61,9 @@ class FilteredLevel:
         request: what was asked for.
         radiance: (6, n, n, 3) float32.
         seconds: processor time of filtering, all threads.
-        error: relative L1 against brute force on sampled texels; 0 for a copy; None if not measured.
-        bias: sum over the sampled texels against that of brute force, less one; None if not measured.
+        error: relative L1 of ``radiance`` against brute force on sampled texels; of a copy, against the source on all
+            texels; None if not measured.
+        bias: sum over these texels against that of brute force, less one; None if not measured.
         energy: mean of the channels' sum over that of the source. Where a level has few texels, even exact values miss
             1 by half a percent, since they sample the sphere.
         tau: threshold of the tree; None for other methods.
@@ -133,10 +134,7 @@ class Exact:
 
     def error_and_bias(self, level: NDArray) -> tuple[float, float]:
         """(error, bias) of a level (6, n, n, 3) on these texels: sum |a - b| / sum |b| and sum (a - b) / sum |b|."""
-        total = float(np.abs(self._radiance).sum())
-        difference = level.reshape(-1, 3)[self._chosen] - self._radiance
-        scale = 1.0 / total if total > 0.0 else 1.0
-        return float(np.abs(difference).sum()) * scale, float(difference.sum()) * scale
+        return _error_and_bias(level.reshape(-1, 3)[self._chosen], self._radiance)
 
 
 def with_energy(level: NDArray, energy: float) -> NDArray:
@@ -198,8 +196,7 @@ def filter_levels(
             level = _filtered(make, request, tau_for(options.tolerance) if options.method == "tree" else None)
             if measure:
                 level = _checked(level, Exact(source, request, options.threads), make, options, energy)
-        kept = float(mean_radiance(level.radiance).sum()) / energy if energy > 0.0 else 1.0
-        out.append(replace(level, energy=kept))
+        out.append(replace(level, energy=_energy(level.radiance, energy)))
     return out
 
 
@@ -277,5 +274,43 @@ def _maker(cube: NDArray, source: NDArray, options: FilterOptions) -> _Make:
 
 
 def with_radiance(level: FilteredLevel, radiance: NDArray) -> FilteredLevel:
-    """The same level with other radiance (6, n, n, 3)."""
-    return replace(level, radiance=radiance)
+    """The same level with other radiance (6, n, n, 3), not measured; the level itself where no texel differs."""
+    if np.array_equal(radiance, level.radiance):
+        return level
+    return replace(level, radiance=radiance, error=None, bias=None)
+
+
+def measured(levels: Sequence[FilteredLevel], cube: NDArray, threads: int = 1) -> list[FilteredLevel]:
+    """Levels with their error, bias and energy; those of levels that were not measured, or changed since, are measured.
+
+    Args:
+        levels: filtered from ``cube``.
+        cube: (6, N, N, 3), the source.
+        threads: workers.
+    """
+    if all(level.error is not None for level in levels):
+        return list(levels)
+    source, energy = packed_source(cube), float(mean_radiance(cube).sum())
+    out = []
+    for level in levels:
+        if level.error is None:
+            if level.request.alpha == 0.0:
+                error, bias = _error_and_bias(level.radiance, resized(cube, level.request.n))
+            else:
+                error, bias = Exact(source, level.request, threads).error_and_bias(level.radiance)
+            level = replace(level, error=error, bias=bias, energy=_energy(level.radiance, energy))
+        out.append(level)
+    return out
+
+
+def _energy(level: NDArray, energy: float) -> float:
+    """Mean of a level over ``energy``, the mean of the source, both of the sum of the channels."""
+    return float(mean_radiance(level).sum()) / energy if energy > 0.0 else 1.0
+
+
+def _error_and_bias(found: NDArray, exact: NDArray) -> tuple[float, float]:
+    """sum |a - b| / sum |b| and sum (a - b) / sum |b|."""
+    total = float(np.abs(exact).sum(dtype=np.float64))
+    difference = found - exact
+    scale = 1.0 / total if total > 0.0 else 1.0
+    return float(np.abs(difference).sum(dtype=np.float64)) * scale, float(difference.sum(dtype=np.float64)) * scale
