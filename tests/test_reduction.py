@@ -118,6 +118,22 @@ def test_a_band_tells_a_channel_as_the_whole_does(tmp_path, monkeypatch):
     assert np.array_equal(banded.normal[before : before + 16], whole.normal[32:48])
 
 
+@pytest.mark.parametrize(("apart", "told"), [(2, False), (90, True)], ids=["rounding", "other colours"])
+def test_a_large_set_takes_the_channel_and_the_range_that_the_whole_does(tmp_path, monkeypatch, apart, told):
+    """Channels that differ by rounding, as a JPEG's do, are one quantity; the others' range does not count."""
+    level = small_bands(monkeypatch, texels=64 * 16)
+    pixels = np.repeat(np.random.default_rng(6).integers(100, 121, (64, 64, 1)), 3, axis=2)
+    pixels[:3] += np.array([-apart // 2, 0, apart])
+    write_png(tmp_path / "Some_Height.png", pixels.astype(np.uint8))
+    texture_set = open_large(tmp_path, {})
+    with LargeSet(texture_set, level, 0.05) as large:
+        banded = [large.lobes(first, last) for first, last in ((0, 16), (32, 48))]
+    assert any("differ" in note for note in texture_set.notes) == told
+    whole = to_svbrdf(open_large(tmp_path, {}), min_roughness=0.05)
+    for (lobes, before), first in zip(banded, (0, 32), strict=True):
+        assert np.array_equal(lobes.normal[before : before + 16], whole.normal[first : first + 16])
+
+
 @pytest.mark.parametrize(
     ("level", "size", "expected"),
     [

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Largest difference of two channels that are equal but for the rounding of a JPEG.
-_ALIKE = 3.0 / 255.0
+ALIKE = 3.0 / 255.0
 #: Length below which a stored normal is no direction: (127, 127, 127) and (128, 128, 128) decode to 0.007.
 ZERO_LENGTH = 0.02
 #: Smallest z of a unit normal, one code step at 8 bits: below it the slope is not determined.
@@ -40,7 +40,7 @@ def obvious_channel(pixels: NDArray, role: str) -> tuple[NDArray, str]:
     ):
         return pixels[:, :, 0], ""
     # A JPEG's colours may differ by a rounding; only more than that is another quantity.
-    if max(float(np.abs(pixels[..., 0] - pixels[..., k]).max()) for k in (1, 2)) <= _ALIKE:
+    if max(float(np.abs(pixels[..., 0] - pixels[..., k]).max()) for k in (1, 2)) <= ALIKE:
         return pixels[:, :, 1], ""
     taken = {"roughness": "G", "gloss": "G", "metallic": "B"}.get(role, "R")
     return pixels[:, :, "RGB".index(taken)], taken
@@ -88,7 +88,7 @@ def x_in_alpha(pixels: NDArray) -> bool:
     if pixels.shape[2] != 4:
         return False
     red, alpha = pixels[:, :, 0], pixels[:, :, 3]
-    if float(np.ptp(red)) > _ALIKE or float(np.ptp(alpha)) < 4.0 * _ALIKE:
+    if float(np.ptp(red)) > ALIKE or float(np.ptp(alpha)) < 4.0 * ALIKE:
         return False
     return abs(float(alpha.mean(dtype=np.float64)) - 0.5) < 0.2 and abs(float(red.flat[0]) - 0.5) > 0.2
 

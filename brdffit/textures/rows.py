@@ -126,21 +126,25 @@ class LargeSet:
         }  # fmt: skip
 
     def _settled(self, role: str, named: Map) -> Map:
-        """Settle a map's channel by all of its rows, as ``Map.quantity`` does, and the scale of the height."""
+        """Settle a map's channel by all of its rows, as ``Map.quantity`` does, and the scale of the height.
+
+        Where the colours are alike but for rounding, the channel stays open: each band then takes the same one.
+        """
         if role == "base_color" or role not in self._files:
             return named
-        low, high, apart = math.inf, -math.inf, 0.0
+        low, high, apart = np.float32(math.inf), np.float32(-math.inf), 0.0
         for rows in self._read_through(role, named):
             for k in range(1, min(rows.shape[2], 3)):
                 apart = max(apart, float(np.abs(rows[:, :, k] - rows[:, :, 0]).max()))
-            low, high = min(low, float(rows.min())), max(high, float(rows.max()))
-        if named.channel == "" and len(self._files[role].info.channels) >= 3 and apart > 0.0:
+            low, high = np.minimum(low, rows.min(axis=(0, 1))), np.maximum(high, rows.max(axis=(0, 1)))
+        if named.channel == "" and len(self._files[role].info.channels) >= 3 and apart > encoding.ALIKE:
             sample = np.array([[[0.0, min(apart, 1.0), 0.0]]], np.float32)
-            taken = encoding.obvious_channel(sample, role)[1] or "G"
+            taken = encoding.obvious_channel(sample, role)[1]
             self.texture_set.note(f"The colours of '{named.path.name}' differ: its {role} is taken from {taken}.")
             named = dataclasses.replace(named, channel=taken)
         if role == "height" and self.texture_set.height_scale is None:
-            self.texture_set.height_scale = height_scale(self.texture_set, np.array([[low, high]], np.float32), None)
+            ends, _ = named.quantity(np.stack([low, high])[None])
+            self.texture_set.height_scale = height_scale(self.texture_set, ends, None)
         return named
 
     def _read_through(self, role: str, named: Map) -> Iterator[NDArray]:
