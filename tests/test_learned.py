@@ -526,6 +526,7 @@ def test_training_by_command_repeats_and_resumes(kind, tmp_path, monkeypatch):
     (arrays, meta), (others, _) = read_weights(first, kind), read_weights(again, kind)
     assert all(np.array_equal(arrays[name], others[name]) for name in arrays)
     assert meta["held_out_sets"] == ["two"] and list(meta["training_sets"]) == ["one"] and meta["steps"] == 6
+    assert "licence" not in meta  # that of a user's own sets is not known
     result = run.invoke(main, ["learn", kind, str(one), "-o", str(first), "--steps", "6", "--resume"])
     assert result.exit_code == 1 and "There is no checkpoint" in result.output
 

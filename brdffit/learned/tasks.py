@@ -31,11 +31,10 @@ class SetsTask:
         return self.held_out or self.sources
 
     def provenance(self) -> dict[str, Any]:
-        """Names and digests of the sets, and the licence of the sets that the shipped weights were trained on."""
+        """Names and digests of the sets. It says nothing of their licences, which it cannot know."""
         return {
             "training_sets": {each.name: set_digest(each) for each in self.sources},
             "held_out_sets": [each.name for each in self.held_out],
-            "licence": "trained on CC0-1.0 texture sets",
         }
 
 
