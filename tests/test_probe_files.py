@@ -217,6 +217,19 @@ def test_a_bake_draws_states_and_is_not_made_twice(environment, tmp_path):
     assert "latlong, 128x64" in run("probe", "inspect", environment).output
 
 
+def test_only_what_is_copied_is_called_so(environment, tmp_path):
+    """Brute force has no error either, and a copy has one where its texels were clamped."""
+    command = ("probe", environment, "-o", tmp_path, "--size", 32, "--levels", 4, "--method", "brute", "--no-picture")
+    lines = [line for line in run(*command).output.splitlines() if line.startswith("  level ")]
+    assert ["copied" in line for line in lines] == [True, False, False, False]
+    assert "error" not in lines[0] and "error 0.00%" in lines[1]
+    picture = latlong(64)
+    picture[20, 40] = 3e6
+    write_exr(tmp_path / "sun.exr", picture)
+    clamped = run("probe", tmp_path / "sun.exr", "-o", tmp_path, "--size", 32, "--levels", 4, "--no-picture").output
+    assert "copied, error" in next(line for line in clamped.splitlines() if line.startswith("  level 0"))
+
+
 def test_one_damaged_environment_of_many_is_named(environment, tmp_path):
     many = tmp_path / "many"
     many.mkdir()

@@ -322,6 +322,7 @@ def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], comman
             "size": each.request.n,
             "roughness": round(each.request.roughness, 6),
             "averaged_over_texels": each.request.points > 1,
+            "copied": each.request.alpha == 0.0,
             "error": None if each.error is None else round(each.error, 6),
             "bias": None if each.bias is None else round(each.bias, 6),
             "energy": round(each.energy, 6),

@@ -89,7 +89,10 @@ def _is_up_to_date(folder: Path, path: Path, options: ProbeOptions) -> bool:
 def _report(folder: Path, manifest: dict) -> list[str]:
     lines = [f"{folder}"]
     for level in manifest["levels"]:
-        error = "copied" if level["error"] == 0.0 else f"error {level['error']:.2%}, bias {level['bias']:+.2%}"
+        copied = level.get("copied", level["level"] == 0 and level["error"] == 0.0)  # older manifests do not say it
+        error = f"error {level['error']:.2%}, bias {level['bias']:+.2%}"
+        if copied:
+            error = "copied" if level["error"] == 0.0 else f"copied, {error}"
         size = f"{level['size']}x{level['size']}"
         head = f"  level {level['level']}  {size:>9}  roughness {level['roughness']:.3f}"
         lines.append(f"{head}  {error}, energy {level['energy']:.2%}")
