@@ -12,6 +12,8 @@ units of alpha^2, in the tangent plane of the normal; it is stored as its matrix
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -98,6 +100,15 @@ def eigenvalues_of_log(log_tensor: NDArray) -> tuple[NDArray, NDArray]:
     """Eigenvalues (major, minor) of Sigma, both (...), of its logarithm (..., 3): alpha^2 along the two axes."""
     t, _, _, r = _split(log_tensor)
     return np.exp(t + r), np.exp(t - r)
+
+
+def clipped_log(log_tensor: NDArray, min_roughness: float) -> NDArray:
+    """Log tensors (..., 3) with the eigenvalues of Sigma clipped to [``min_roughness``^4, 1]; the axes stay."""
+    low = 4.0 * math.log(min_roughness)
+    mean, half, off, radius = _split(log_tensor)
+    major, minor = np.clip(mean + radius, low, 0.0), np.clip(mean - radius, low, 0.0)
+    mean, shrink = 0.5 * (major + minor), 0.5 * (major - minor) / np.where(radius > 0.0, radius, 1.0)
+    return np.stack([mean + shrink * half, mean - shrink * half, shrink * off], axis=-1)
 
 
 def _split(abc: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:

@@ -13,8 +13,8 @@ from brdffit.errors import InputError
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOBE_COLUMNS, MIXTURE
 from brdffit.learned import residual
-from brdffit.learned.crops import LEVELS, POINTS, SIDE, TEXELS, crop_of, noise_mask, trilinear, within
-from brdffit.learned.data import footprints
+from brdffit.learned.crops import LEVELS, POINTS, SIDE, TEXELS, crop_of, noise_mask, trilinear
+from brdffit.learned.data import VARIANTS, footprints, varied
 from brdffit.learned.kernels import moments as m
 from brdffit.learned.kernels.footprints import COLOUR, DIFFUSE, ENERGY, PLANE, SUMS, sum_blocks
 from brdffit.learned.kernels.interpolation import LIFTED, lift_rows, spread_rows
@@ -38,6 +38,7 @@ from brdffit.learned.network import SHIPPED, ResidualNetwork, difference, load_n
 from brdffit.learned.residual_training import loss_of
 from brdffit.methods import Material, get_method
 from brdffit.nets.adam import Adam
+from brdffit.roughness import clipped_log
 from brdffit.svbrdf import Svbrdf
 
 #: Of a difference quotient of the objective, whose sums are in single precision.
@@ -382,10 +383,23 @@ def test_tiles_make_no_difference():
 def test_masks_and_bounds():
     mask = noise_mask(np.random.default_rng(17))
     assert mask.shape == (SIDE, SIDE) and 0.05 < mask.mean() < 0.95
-    tensor = within(np.array([[3.0, -30.0, 1.0], [-4.0, -4.0, 0.0]], np.float32))
+    tensor = clipped_log(np.array([[3.0, -30.0, 1.0], [-4.0, -4.0, 0.0]], np.float32), 0.045)
     values = np.linalg.eigvalsh(tensor[:, [[0, 2], [2, 1]]].astype(float))
     assert values.max() < 1e-5 and values.min() > 4 * math.log(0.045) - 1e-5
     np.testing.assert_allclose(tensor[1], [-4, -4, 0])
+
+
+def test_variants_of_an_anisotropic_set_keep_to_the_range():
+    tensor = np.broadcast_to(np.array([-6.2, -6.2, 6.0], np.float32), (4, 4, 3))  # eigenvalues e^-0.2 and e^-12.2
+    flat = np.zeros((4, 4, 3), np.float32)
+    svbrdf = Svbrdf(flat + np.array([0, 0, 1], np.float32), tensor, flat + 0.5, flat)
+    for roughness, steepness in VARIANTS:
+        values = np.linalg.eigvalsh(varied(svbrdf, roughness, steepness).log_roughness[0, 0][[[0, 2], [2, 1]]])
+        assert values.max() < 1e-5 and values.min() > 4 * math.log(0.045) - 1e-5
+    # Isotropic ones are what they were: clipped on the diagonal, to the bit.
+    rough = svbrdf.replace(log_roughness=tensor * np.array([1, 1, 0], np.float32))
+    expected = np.clip(rough.log_roughness + np.float32(4.0 * math.log(1.2)), 4.0 * math.log(0.045), 0.0)[..., :2]
+    assert np.array_equal(varied(rough, 1.2, 0.5).log_roughness[..., :2], expected)
 
 
 @pytest.mark.parametrize("name", ["learned", "latent", "mipnet"])

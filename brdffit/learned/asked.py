@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from brdffit.errors import InputError
 from brdffit.options import LobeOptions
+from brdffit.roughness import clipped_log
 from brdffit.svbrdf import Svbrdf
 
 #: Value of the option ``weights`` for the weights that the program ships.
@@ -52,14 +52,10 @@ def bounded(tensor: NDArray, options: LobeOptions) -> NDArray:
 
     With ``lobe="isotropic"`` they are first made isotropic, with the same determinant.
     """
-    low = 4.0 * math.log(options.min_roughness)
-    mean, half, off = 0.5 * (tensor[:, 0] + tensor[:, 1]), 0.5 * (tensor[:, 0] - tensor[:, 1]), tensor[:, 2]
     if options.lobe == "isotropic":
-        half, off = np.zeros_like(half), np.zeros_like(off)
-    radius = np.hypot(half, off)
-    major, minor = np.clip(mean + radius, low, 0.0), np.clip(mean - radius, low, 0.0)
-    mean, shrink = 0.5 * (major + minor), 0.5 * (major - minor) / np.where(radius > 0.0, radius, 1.0)
-    return np.stack([mean + shrink * half, mean - shrink * half, shrink * off], axis=1)
+        mean = 0.5 * (tensor[:, 0] + tensor[:, 1])
+        tensor = np.stack([mean, mean, np.zeros_like(mean)], axis=1)
+    return clipped_log(tensor, options.min_roughness)
 
 
 def level_of(

@@ -22,7 +22,7 @@ from brdffit.halfangle.apparent_lobe import base_of, strata
 from brdffit.learned.data import read_set
 from brdffit.learned.kernels.tables import Table, tabulate
 from brdffit.learned.latent import MODELS, inputs_of
-from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
+from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, clipped_log
 from brdffit.svbrdf import Svbrdf
 
 SIDE = 32
@@ -118,17 +118,11 @@ def _varied(
     stretch, angle = (rng.uniform(0.0, 1.5), rng.uniform(0.0, math.pi)) if rng.random() < 0.3 else (0.0, 0.0)
     half, off = stretch * math.cos(2.0 * angle), stretch * math.sin(2.0 * angle)
     tensor = tensor + np.array([mean + half, mean - half, off], np.float32)
-    return normal, within(tensor), np.minimum(luminance * math.exp(rng.uniform(-1.2, 1.2)), 1.0)
-
-
-def within(tensor: NDArray) -> NDArray:
-    """Log tensors (..., 3) with the eigenvalues of the tensor clipped to [DEFAULT_MIN_ROUGHNESS^4, 1]."""
-    low = 4.0 * math.log(DEFAULT_MIN_ROUGHNESS)
-    mean, half, off = 0.5 * (tensor[..., 0] + tensor[..., 1]), 0.5 * (tensor[..., 0] - tensor[..., 1]), tensor[..., 2]
-    radius = np.hypot(half, off)
-    major, minor = np.clip(mean + radius, low, 0.0), np.clip(mean - radius, low, 0.0)
-    mean, shrink = 0.5 * (major + minor), 0.5 * (major - minor) / np.where(radius > 0.0, radius, 1.0)
-    return np.stack([mean + shrink * half, mean - shrink * half, shrink * off], axis=-1).astype(np.float32)
+    return (
+        normal,
+        clipped_log(tensor, DEFAULT_MIN_ROUGHNESS).astype(np.float32),
+        np.minimum(luminance * math.exp(rng.uniform(-1.2, 1.2)), 1.0),
+    )
 
 
 def noise_mask(rng: np.random.Generator) -> NDArray:

@@ -17,7 +17,7 @@ from brdffit.halfangle.apparent_lobe import Strata, base_of
 from brdffit.learned.kernels.footprints import ENERGY, SUMS, sum_blocks
 from brdffit.learned.kernels.moments import MOMENTS
 from brdffit.learned.kernels.tables import Table, tabulate
-from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
+from brdffit.roughness import DEFAULT_MIN_ROUGHNESS, clipped_log
 from brdffit.svbrdf import Svbrdf, level_sizes
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.reading import read_texture_set
@@ -44,16 +44,14 @@ def set_digest(source: str | Path) -> str:
 
 
 def varied(svbrdf: Svbrdf, roughness: float, steepness: float) -> Svbrdf:
-    """An SVBRDF with perceptual roughness and slopes scaled; the diagonal of the log tensor is clipped to its range."""
+    """An SVBRDF with perceptual roughness and slopes scaled; eigenvalues of the log tensor are clipped to the range."""
     if roughness == 1.0 and steepness == 1.0:
         return svbrdf
     normal = svbrdf.normal.copy()
     normal[..., :2] *= steepness
     normal /= np.linalg.norm(normal, axis=2, keepdims=True)
     log_roughness = svbrdf.log_roughness + np.float32(4.0 * math.log(roughness)) * np.array([1, 1, 0], np.float32)
-    low = 4.0 * math.log(DEFAULT_MIN_ROUGHNESS)
-    log_roughness[..., :2] = np.clip(log_roughness[..., :2], low, 0.0)
-    return svbrdf.replace(normal=normal, log_roughness=log_roughness)
+    return svbrdf.replace(normal=normal, log_roughness=clipped_log(log_roughness, DEFAULT_MIN_ROUGHNESS))
 
 
 def level_strata(base_size: tuple[int, int], level: int) -> tuple[Strata, int]:
