@@ -13,6 +13,7 @@ from container_support import node
 from export_support import averaged_pyramid, random_svbrdf
 
 from brdffit.cli import main
+from brdffit.colour import decode_srgb
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.export.manifest import build_manifest
 from brdffit.export.writing import write_baked
@@ -21,7 +22,7 @@ from brdffit.methods import Baked
 from brdffit.models.microfacet import brdf
 from brdffit.viewer import command
 from brdffit.viewer.command import view
-from brdffit.viewer.packing import LOG_STEPS, NORMAL_STEPS, pack_environment, pack_levels, planes
+from brdffit.viewer.packing import LOG_STEPS, MOST_SPECULAR, NORMAL_STEPS, pack_environment, pack_levels, planes
 
 FLAGS = [
     "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader",
@@ -72,6 +73,18 @@ def test_levels_are_packed_in_the_order_in_which_the_page_reads_them():
     np.testing.assert_allclose(x, svbrdf.normal[..., 0], atol=0.51 / NORMAL_STEPS)
     mean = unpacked(packed["shapes"], "<i2", (6, 8), 2 * 48 * 2) / LOG_STEPS
     np.testing.assert_allclose(mean, svbrdf.log_roughness[..., :2].mean(axis=-1), atol=0.51 / LOG_STEPS)
+
+
+def test_the_stored_scale_times_the_stored_colour_is_the_specular_scale():
+    svbrdf = random_svbrdf((6, 8))
+    grey = np.linspace(1.0, 1.3, 48).reshape(6, 8, 1)
+    svbrdf = svbrdf.replace(specular=(grey * [1.0, 0.5, 0.25]).astype(np.float32))
+    packed = pack_levels([svbrdf])["colours"]
+    codes = np.stack([unpacked(packed, "u1", (6, 8), channel * 48) for channel in range(4)], axis=-1)
+    shown = decode_srgb(codes[..., :3] / 255.0) * codes[..., 3:] * (MOST_SPECULAR / 255.0)
+    # Half a code of sRGB is at most 1.2 / 1.055 / 255 of the scale; over many texels it cancels.
+    np.testing.assert_allclose(shown, svbrdf.specular, atol=0.0046 * 1.32)
+    assert shown.mean() == pytest.approx(svbrdf.specular.mean(), rel=1e-3)
 
 
 def test_an_environment_keeps_its_range():

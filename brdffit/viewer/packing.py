@@ -32,10 +32,11 @@ def pack_levels(levels: Sequence[Svbrdf]) -> dict[str, Any]:
         fields += [0.5 * (a + b) * LOG_STEPS, 0.5 * (a - b) * LOG_STEPS, c * LOG_STEPS]
         for field in fields:
             integers += planes(np.clip(np.round(field), -32768, 32767).astype("<i2"))
-        top = np.clip(level.specular.max(axis=-1), 1.0, MOST_SPECULAR)
-        specular = np.round(255.0 * encode_srgb(np.clip(level.specular / top[..., None], 0.0, 1.0)))
+        # The colour is divided by the scale as stored, which is what the page multiplies by.
+        scale = np.ceil(255.0 / MOST_SPECULAR * np.clip(level.specular.max(axis=-1), 1.0, MOST_SPECULAR))
+        top = scale[..., None] * (MOST_SPECULAR / 255.0)
+        specular = np.round(255.0 * encode_srgb(np.clip(level.specular / top, 0.0, 1.0)))
         diffuse = np.round(255.0 * encode_srgb(np.clip(level.diffuse, 0.0, 1.0)))
-        scale = np.ceil(255.0 * top / MOST_SPECULAR)
         for plane in (*np.moveaxis(specular, -1, 0), scale, *np.moveaxis(diffuse, -1, 0)):
             bytes_ += planes(plane.astype(np.uint8))
     return {
