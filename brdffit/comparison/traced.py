@@ -54,7 +54,7 @@ def methods_of_table(options: Iterable[str]) -> tuple[str, ...]:
 def tilted_views(
     truth: Svbrdf | Truth, drawn: Drawn, depth: int, studio: Studio, announce: Announce = lambda what: None
 ) -> Iterator[tuple[View, dict[str, NDArray]]]:
-    """A view of each level at 45 degrees, with its pictures as ``views.all_views`` has them.
+    """A view of each level that the studio reaches, at 45 degrees, with its pictures as ``views.all_views`` has them.
 
     Args:
         truth: what is seen.
@@ -67,7 +67,9 @@ def tilted_views(
     light = Lights(direction[None], np.full((1, 3), math.pi / direction[2]))
     one = dataclasses.replace(studio, lights=light, lit=(SMALL_LIGHTS,))
     side = max(studio.pixels // 2, 16)
-    for level in range(min(depth, _LEVELS)):
+    last = min(depth, _LEVELS) - 1
+    first, last = (min(level, last) for level in studio.reach or (0, last))
+    for level in range(first, last + 1):
         announce(f"level {level} at {_TILT:g} degrees")
         scene = tilted(truth.size, level, (side, side), _TILT)
         still = Still(

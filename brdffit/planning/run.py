@@ -96,7 +96,8 @@ def comparisons(
                 through_probe=scene.probe,
                 lights=lights_of(scene),
                 lit=tuple(lit + [ENVIRONMENT] * planned.environment),
-                terms=Terms(**dict.fromkeys(planned.terms, False)),
+                # A traced height reflects by the whole BRDF: terms that the plan leaves out are simulated beside it.
+                terms=Terms() if effects else Terms(**dict.fromkeys(planned.terms, False)),
                 unread=planned.unread,
                 truth=functools.partial(traced_truth, effects=effects, threads=threads) if effects else None,
                 options={**planned.options, "threads": threads},
