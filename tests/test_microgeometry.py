@@ -294,9 +294,12 @@ def test_what_cannot_be_traced_is_refused_in_a_sentence(monkeypatch):
         HeightField.of(base.replace(height=None))
     with pytest.raises(InputError, match="not finite"):
         HeightField.of(base, amplitude=float("nan"))
-    monkeypatch.setattr("brdffit.microgeometry.heightfield._free_memory", lambda: 1000)
+    monkeypatch.setattr("brdffit.microgeometry.heightfield.free_memory", lambda: 1000)
     with pytest.raises(InputError, match="needs about .* GiB of memory"):
         HeightField.of(base)
+    # Where the system does not tell how much is free, nothing is refused.
+    monkeypatch.setattr("brdffit.microgeometry.heightfield.free_memory", lambda: None)
+    assert HeightField.of(base).height.shape == (16, 16)
 
 
 def test_measured_queries_are_read_as_written_and_others_refused(tmp_path):

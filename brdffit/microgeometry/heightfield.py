@@ -18,13 +18,13 @@ needs, and the result is what other programs render of the mesh.
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
+from brdffit.machine import free_memory
 from brdffit.render._packing import Packed, pack_base
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.encoding import height_gradient, normals_from_gradient, slopes_of_normals
@@ -123,19 +123,12 @@ def check_memory(size: tuple[int, int], bytes_per_texel: int = BYTES_PER_TEXEL) 
     Raises:
         InputError: tells how much memory is needed and how much is free.
     """
-    needed, free = size[0] * size[1] * bytes_per_texel, _free_memory()
-    if needed > free:
+    needed, free = size[0] * size[1] * bytes_per_texel, free_memory()
+    if free is not None and needed > free:
         raise InputError(
             f"A surface of {size[1]}x{size[0]} texels needs about {needed / 2**30:.1f} GiB of memory and "
             f"{free / 2**30:.1f} GiB are free: give smaller maps."
         )
-
-
-def _free_memory() -> int:
-    try:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (ValueError, OSError, AttributeError):
-        return 2**62
 
 
 def _repeats(svbrdf: Svbrdf) -> bool:
