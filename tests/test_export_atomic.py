@@ -48,7 +48,7 @@ def test_a_second_bake_replaces_the_first(tmp_path, monkeypatch, exchange):
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), OutputError("Full."), KeyboardInterrupt()])
-@pytest.mark.parametrize("writer", ["write_png", "write_mip_exr", "file_digest"])
+@pytest.mark.parametrize("writer", ["write_png", "write_mip_exr", "file_sha256"])
 @pytest.mark.parametrize("there_before", [True, False])
 def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, monkeypatch, error, writer, there_before):
     folder = tmp_path / "set"

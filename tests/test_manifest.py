@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from export_support import averaged_pyramid, random_svbrdf
 
+from brdffit.errors import InputError
 from brdffit.export.manifest import (
     build_manifest,
-    file_digest,
     foreign_file,
     level_record,
     stable_digest,
     to_json,
 )
 from brdffit.export.writing import write_baked
+from brdffit.files.image_io import file_sha256
 from brdffit.machine import versions
 from brdffit.methods import Baked
 
@@ -121,6 +122,8 @@ def test_what_is_ours_is_told_by_the_manifest(tmp_path):
     assert foreign_file(tmp_path / "set") == "extra.png"
 
 
-def test_a_digest_is_sha_256(tmp_path):
+def test_a_digest_is_sha_256_and_an_input_that_is_gone_is_named(tmp_path):
     (tmp_path / "empty").write_bytes(b"")
-    assert file_digest(tmp_path / "empty") == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+    assert file_sha256(tmp_path / "empty") == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+    with pytest.raises(InputError, match=r"gone\.png' cannot be read: No such file"):
+        bake(tmp_path / "set", inputs=[("height", tmp_path / "gone.png")])

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from brdffit.files.atomic import first_other
+from brdffit.files.image_io import file_sha256
 from brdffit.machine import versions
 from brdffit.methods import Baked, Level
 
@@ -51,7 +52,7 @@ def build_manifest(
         digests: SHA-256 of inputs as they were when they were read; files without one are hashed now.
 
     Raises:
-        OSError: when an input cannot be read any more.
+        InputError: when an input cannot be read any more.
     """
     options = dataclasses.asdict(baked.options)
     threads = options.pop("threads")
@@ -66,7 +67,7 @@ def build_manifest(
         "wrap": baked.wrap,
         "conventions": dict(conventions or {}),
         "inputs": [
-            {"role": role, "file": Path(path).name, "sha256": known.get(Path(path)) or file_digest(path)}
+            {"role": role, "file": Path(path).name, "sha256": known.get(Path(path)) or file_sha256(Path(path))}
             for role, path in sorted((role, str(path)) for role, path in inputs)
         ],
         "levels": [
@@ -111,12 +112,6 @@ def level_record(
         mean = float(level.residual.mean(dtype=np.float64))
         record["residual_snr_db"] = -10.0 * math.log10(mean) if mean > 0.0 else None
     return {**record, **(measured or {})}
-
-
-def file_digest(path: str | Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def stable_digest(manifest: Mapping[str, Any]) -> str:

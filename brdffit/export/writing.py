@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from brdffit.errors import InputError, OutputError
 from brdffit.export.geometry import Geometry, geometry_of
-from brdffit.export.manifest import FILE_NAME, file_digest, foreign_file, stable_digest, to_json
+from brdffit.export.manifest import FILE_NAME, foreign_file, stable_digest, to_json
 from brdffit.export.pictures import Count, bands, check_preset, write_pictures
 from brdffit.export.presets import get_preset
 from brdffit.files import atomic
-from brdffit.files.image_io import read_mip_exr, write_mip_exr, write_png
+from brdffit.files.image_io import file_sha256, read_mip_exr, write_mip_exr, write_png
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.methods import Baked, Image
 from brdffit.probes.presets import probe_of_materials
@@ -121,7 +121,7 @@ def write_baked(
             write_png(fresh / "preview.png", preview() if callable(preview) else preview)
         paths = sorted(path for path in fresh.rglob("*") if path.is_file())
         record["files"] = {
-            path.relative_to(fresh).as_posix(): {"bytes": path.stat().st_size, "sha256": file_digest(path)}
+            path.relative_to(fresh).as_posix(): {"bytes": path.stat().st_size, "sha256": file_sha256(path)}
             for path in paths
         }
         record["stable_digest"] = stable_digest(record)
