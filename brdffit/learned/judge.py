@@ -23,9 +23,8 @@ from brdffit.methods import DEFAULT, LobeMethod, Material, get_method, with_opti
 from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
 
-#: Levels of the table, and methods unless others are named.
+#: Levels of the table.
 LEVELS = (1, 2, 3, 4, 5)
-METHODS = ("bfgs", "learned", "latent", "mipnet", "lean", "vmf", "naive")
 _NODES, _SAMPLES = 2048, (16, 64)
 
 
@@ -52,9 +51,7 @@ class Row:
         return float(np.mean(self.snr))
 
 
-def judge(
-    sources: Sequence[Path], methods: Sequence[str] = METHODS, texels: int = 48, model: str = "ggx"
-) -> Iterator[list[Row]]:
+def judge(sources: Sequence[Path], methods: Sequence[str], texels: int = 48, model: str = "ggx") -> Iterator[list[Row]]:
     """The rows of each set in turn: half-angle SNR of every method on the same random texels, with the scale it gave.
 
     A whole fit takes a minute a set, so the default method fits only the texels that are measured, and for point lights
