@@ -153,8 +153,8 @@ def place_nodes(lobes, count, points, exponent, nodes):
 def tabulate(lobes, count, isotropic, grey, nodes):
     """Add every base lobe to the table, T_c(h_j) and p(h_j), and the defensive lobe to p, after ``frame_lobes``.
 
-    ``grey``: every lobe has equal channels, so only one is summed. With HORIZON base lobes end at their own horizon
-    (n.h > 0).
+    ``grey``: every lobe has equal channels, so only one is summed. With the horizon effect base lobes end at their
+    own horizon (n.h > 0).
     """
     size = nodes.shape[1]
     h_x, h_y, h_z = nodes[H_X], nodes[H_Y], nodes[H_Z]
