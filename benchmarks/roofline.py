@@ -22,7 +22,7 @@ from brdffit.halfangle.objective import MOMENTS
 from brdffit.halfangle.quadrature import LOBE_COLUMNS, NODE_ROWS, frame_lobes
 from brdffit.models import model_names
 from brdffit.svbrdf import level_sizes
-from brdffit.tradeoff.ways import fixed_nodes
+from brdffit.tradeoff.candidates import fixed_nodes
 
 # Operations a node; an exponential or a division counts as one. Moments: 15 for u, v and c; 3 + 1 for q and C; 5 for
 # GGX and its derivatives; 12 for products of these and of the weights; 24 for the sums of the target and of the lobe.

@@ -1,4 +1,4 @@
-"""The trade-off: the front by hand, every way on one small set, and what is written."""
+"""The trade-off: the front by hand, every candidate on one small set, and what is written."""
 
 import json
 
@@ -13,11 +13,11 @@ from brdffit.fitting.sampling import LevelSample
 from brdffit.halfangle.measure import random_texels
 from brdffit.textures.procedural import make_set
 from brdffit.tradeoff import run
+from brdffit.tradeoff.candidates import candidates
 from brdffit.tradeoff.command import as_markdown
 from brdffit.tradeoff.front import choices, with_front
 from brdffit.tradeoff.record import Point, Tradeoff
 from brdffit.tradeoff.solvers import SOLVERS, race
-from brdffit.tradeoff.ways import ways
 
 TINY = run.Size((64, 32, 16, 8, 4, 4), (8, 8, 4, 4, 4, 4), raced=3, nodes=256, samples=(4, 8), pairs=8, repeats=1)
 
@@ -41,11 +41,11 @@ def test_the_cheapest_setting_within_what_a_preset_may_lose_is_chosen():
     """Over two sets: one setting loses too much on one of them, the dearest gains nothing, and 60 dB is 50."""
     found = []
     for name, shift in (("a", 0.0), ("b", 30.0)):
-        for group, way, seconds, decibels in (
+        for group, candidate, seconds, decibels in (
             ("preset", "draft", 0.5, 19.0), ("preset", "standard", 1.0, 20.0), ("preset", "fine", 4.0, 20.1),
             ("setting", "few", 0.4, 19.7), ("setting", "some", 0.8, 20.02), ("setting", "many", 3.0, 20.1),
         ):  # fmt: skip
-            own = Point(name, group, way, seconds, decibels + shift, None, 1.0, [decibels + shift])
+            own = Point(name, group, candidate, seconds, decibels + shift, None, 1.0, [decibels + shift])
             found.append(own)
     chosen = {each.preset: each for each in choices(found)}
     assert [chosen[name].setting for name in ("draft", "standard", "fine")] == ["few", "some", "many"]
@@ -72,7 +72,7 @@ def test_a_setting_that_one_set_lacks_is_not_chosen():
 
 
 def test_every_way_has_a_name_of_its_own():
-    names = [(way.group, way.name) for way in ways()]
+    names = [(candidate.group, candidate.name) for candidate in candidates()]
     assert len(set(names)) == len(names)
     assert {"preset", "tolerance", "nodes", "setting", "model", "float", "method", "oracle"} <= {
         group for group, _ in names
@@ -89,16 +89,16 @@ def test_optimisers_agree_where_there_is_one_minimum():
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """The command on one shipped set, small and tiny, with fewer ways."""
+    """The command on one shipped set, small and tiny, with fewer candidates."""
     folder = tmp_path_factory.mktemp("tradeoff")
     source = make_set("hammered-metal", folder / "sets", size=32)
     chosen = [
-        way
-        for way in ways()
-        if way.name in ("naive", "lean", "draft", "standard", "0.1 dB", "beckmann", "l1", "oracle", "height")
+        candidate
+        for candidate in candidates()
+        if candidate.name in ("naive", "lean", "draft", "standard", "0.1 dB", "beckmann", "l1", "oracle", "height")
     ]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "ways", lambda: chosen)
+        patch.setattr(run, "candidates", lambda: chosen)
         patch.setattr("brdffit.tradeoff.command.QUICK", TINY)
         result = CliRunner().invoke(main, ["tradeoff", str(source), "-o", str(folder / "out"), "--quick"])
     assert result.exit_code == 0, result.output
@@ -111,7 +111,7 @@ def test_records_tables_and_pictures_are_written(written):
         "tradeoff.json", "tradeoff.md", "tradeoff.png", "tradeoff.svg",
     ]  # fmt: skip
     found = msgspec.json.decode((folder / "tradeoff.json").read_bytes(), type=Tradeoff)
-    assert [each.name for each in found.points] == [way.name for way in chosen]
+    assert [each.name for each in found.points] == [candidate.name for candidate in chosen]
     for each in found.points:
         assert each.seconds_per_megatexel > 0 and np.isfinite([each.snr_db, each.rendered_db, each.energy]).all()
         assert each.snr_db == pytest.approx(np.mean(each.levels_db))
@@ -121,7 +121,9 @@ def test_records_tables_and_pictures_are_written(written):
 
 
 def test_a_method_that_a_set_has_no_images_for_is_left_out_and_that_is_said(monkeypatch):
-    monkeypatch.setattr(run, "ways", lambda: [way for way in ways() if way.name in ("naive", "height")])
+    monkeypatch.setattr(
+        run, "candidates", lambda: [candidate for candidate in candidates() if candidate.name in ("naive", "height")]
+    )
     said = []
     points, _ = run.measure_set("set", surface(size=(8, 8), spread=0.1), TINY, said.append)
     assert [each.name for each in points] == ["naive"]

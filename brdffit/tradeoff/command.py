@@ -56,7 +56,9 @@ def _foreign(folder: Path) -> str | None:
     return first_other(folder, _FILES)
 
 
-_HEAD = ("set", "group", "way", "s / Mtexel", "SNR dB", "rendered dB", "energy", "front", "s / Mtexel for each dB")
+_HEAD = (
+    "set", "group", "candidate", "s / Mtexel", "SNR dB", "rendered dB", "energy", "front", "s / Mtexel for each dB",
+)  # fmt: skip
 
 
 def _rows(found: Tradeoff) -> list[tuple[str, ...]]:
@@ -112,14 +114,14 @@ def as_markdown(found: Tradeoff) -> str:
         f"# What accuracy costs in time\n\nBy `{found.command}` in {found.seconds:.0f} s on {ran_on}.\n\n"
         "Seconds per megatexel of the base for levels 0 to 5 (processor seconds over the number of cores; closed "
         "forms: a whole bake); half-angle SNR, mean of these levels in dB; rendered: SNR of radiance over pairs of "
-        "light and viewer, whole specular BRDF, levels 1, 3 and 5; energy kept; the front: no way to the same end is "
-        "faster and better; what each dB costs that a way on the front has over the one before.\n",
+        "light and viewer, whole specular BRDF, levels 1, 3 and 5; energy kept; the front: no candidate to the same "
+        "end is faster and better; what each dB costs that a candidate on the front has over the one before.\n",
         "## What the front says of the presets\n\nThe cheapest setting of samples and nodes that loses no more than a "
-        "preset may, then the preset itself. Half-angle SNR in dB that is missing to the best way of a set, mean of "
-        f"the sets and the worst of them, levels above {PERFECT_DB:g} dB counting as that. Time: over that of "
+        "preset may, then the preset itself. Half-angle SNR in dB that is missing to the best candidate of a set, mean "
+        f"of the sets and the worst of them, levels above {PERFECT_DB:g} dB counting as that. Time: over that of "
         "standard, geometric mean.\n",
         _markdown_table(_CHOICE_HEAD, _choice_rows(found)),
-        "\n## Every way\n",
+        "\n## Every candidate\n",
         _markdown_table(_HEAD, _rows(found)),
         "\n## Optimisers\n\nOn one table a texel (320 nodes, levels 1 and 3), from the closed-form start; time of the "
         "search alone.\n",

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import msgspec
 
 from brdffit.halfangle.measure import PERFECT_DB
+from brdffit.tradeoff.candidates import SETTING
 from brdffit.tradeoff.record import Choice, Point
-from brdffit.tradeoff.ways import SETTING
 
-#: A way must gain this much (dB) over a faster one to be on the front: less is noise of the sample.
+#: A candidate must gain this much (dB) over a faster one to be on the front: less is noise of the sample.
 WORTH = 0.005
 
 
@@ -34,7 +34,7 @@ def with_front(points: Sequence[Point]) -> list[Point]:
     return [msgspec.structs.replace(point, front=id(point) in found, price=found.get(id(point))) for point in points]
 
 
-#: What each preset may lose to the best way, in dB.
+#: What each preset may lose to the best candidate, in dB.
 ALLOWED = {"draft": 0.5, "standard": 0.1, "fine": 0.02}
 
 

@@ -8,13 +8,13 @@ import msgspec
 
 
 class Point(msgspec.Struct, frozen=True):
-    """One way on one set.
+    """One candidate on one set.
 
     ``seconds_per_megatexel``: of the base, levels 0 to 5 together, on all cores; ``snr_db``: half-angle SNR, mean of
     the levels in dB; ``rendered_db``: SNR of radiance over pairs of light and viewer, mean of the levels where it was
     measured; ``energy``: mean of the scale over the filtered colour; ``levels_db``: half-angle SNR of each level;
-    ``front``: whether no comparable way is both faster and better; ``price``: seconds per megatexel for each dB gained
-    over the next faster way on the front.
+    ``front``: whether no comparable candidate is both faster and better; ``price``: seconds per megatexel for each dB
+    gained over the next faster candidate on the front.
     """
 
     set: str
@@ -42,10 +42,10 @@ class Solver(msgspec.Struct, frozen=True):
 
 
 class Choice(msgspec.Struct, frozen=True):
-    """The cheapest setting that loses at most ``allowed_db`` to the best way, in the mean of all sets, beside a preset.
+    """The cheapest setting that loses at most ``allowed_db`` to the best candidate in the mean of sets, and a preset.
 
-    ``cost``: seconds over those of standard, geometric mean of the sets; ``behind_db``: dB behind the best way, mean of
-    the sets, levels above 50 dB counting as 50 dB; ``worst_db``: of the worst set; the same three of the preset.
+    ``cost``: seconds over those of standard, geometric mean of the sets; ``behind_db``: dB behind the best candidate,
+    mean of sets, levels above 50 dB counting as 50 dB; ``worst_db``: of the worst set; the same three of the preset.
     """
 
     preset: str

@@ -1,4 +1,4 @@
-"""Measure every way on the same texels: seconds, half-angle SNR, rendered SNR."""
+"""Measure every candidate on the same texels: seconds, half-angle SNR, rendered SNR."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from brdffit.models import get_model
 from brdffit.render.pairs import pair_errors
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.tradeoff.candidates import FIT, ORACLE, Candidate, candidates
 from brdffit.tradeoff.front import with_front
 from brdffit.tradeoff.record import Point, Solver
 from brdffit.tradeoff.solvers import SOLVER_LEVELS, race
-from brdffit.tradeoff.ways import FIT, ORACLE, Way, ways
 
 #: tell(what is done now)
 Tell = Callable[[str], object]
@@ -55,24 +55,24 @@ _SEED = 77
 
 
 def measure_set(name: str, svbrdf: Svbrdf, size: Size, tell: Tell) -> tuple[list[Point], list[Solver]]:
-    """Points of every way and of every optimiser on one set."""
+    """Points of every candidate and of every optimiser on one set."""
     base = base_of(svbrdf, get_model(svbrdf.model).default_shape)
     sizes = level_sizes(svbrdf.size, len(size.timed))
     texels = [random_texels(each, size.timed[k], seed=_SEED + k) for k, each in enumerate(sizes)]
     tried: list[_Tried] = []
     measured = [(c[:n], r[:n]) for (c, r), n in zip(texels, size.texels, strict=False)]
-    for way in ways():
-        tell(f"{name}: {way.group}, {way.name}")
+    for candidate in candidates():
+        tell(f"{name}: {candidate.group}, {candidate.name}")
         try:
-            if way.method == ORACLE:
-                tried.append(_ask_oracle(way, svbrdf, base, measured, tried))
-            elif way.method == FIT:
-                tried.append(_fit(way, svbrdf, base, texels, size))
+            if candidate.method == ORACLE:
+                tried.append(_ask_oracle(candidate, svbrdf, base, measured, tried))
+            elif candidate.method == FIT:
+                tried.append(_fit(candidate, svbrdf, base, texels, size))
             else:
-                tried.append(_bake(way, svbrdf, texels, size))
+                tried.append(_bake(candidate, svbrdf, texels, size))
         except BrdffitError as error:
             # Some methods need maps, such as heights, that not every set has.
-            tell(f"{name}: {way.name} is left out. {error}")
+            tell(f"{name}: {candidate.name} is left out. {error}")
     tell(f"{name}: measuring")
     _measure(tried, svbrdf, base, measured, size)
     tell(f"{name}: optimisers")
@@ -82,9 +82,9 @@ def measure_set(name: str, svbrdf: Svbrdf, size: Size, tell: Tell) -> tuple[list
 
 @dataclass
 class _Tried:
-    """Results of one way: lobes of each level's texels, seconds a texel of the base, and figures for each level."""
+    """Results of one candidate: lobes of each level's texels, seconds a texel of the base, figures of each level."""
 
-    way: Way
+    candidate: Candidate
     seconds: float
     lobes: list[Lobes]
     decibels: list[float] = field(default_factory=list)
@@ -94,8 +94,8 @@ class _Tried:
     def point(self, name: str) -> Point:
         return Point(
             set=name,
-            group=self.way.group,
-            name=self.way.name,
+            group=self.candidate.group,
+            name=self.candidate.name,
             seconds_per_megatexel=self.seconds * 1e6,
             snr_db=float(np.mean(self.decibels)),
             rendered_db=float(np.mean(self.rendered)) if self.rendered else None,
@@ -109,35 +109,35 @@ class _Tried:
         self.seconds += seconds * math.prod(sample.size) / math.prod(sample.base_size)
 
 
-def _bake(way: Way, svbrdf: Svbrdf, texels: Texels, size: Size) -> _Tried:
+def _bake(candidate: Candidate, svbrdf: Svbrdf, texels: Texels, size: Size) -> _Tried:
     """Bake the whole pyramid of a closed form: its cost is that of images, not of single texels."""
-    method = get_method(way.method)
+    method = get_method(candidate.method)
     options = method.options(levels=len(texels))
     took = []
     for _ in range(size.repeats + 1):
         start = time.perf_counter()
         pyramid = method.bake(Material(svbrdf), options).lobes
         took.append(time.perf_counter() - start)
-    assert pyramid is not None  # `ways` names methods with lobes alone
+    assert pyramid is not None  # `candidates` names methods with lobes alone
     versions = [(pyramid[k].svbrdf, at) for k, at in enumerate(texels)]
     lobes = [Lobes(lobe_parameters(v, *at), v.specular[at[1], at[0]].astype(np.float64)) for v, at in versions]
-    return _Tried(way, min(took) / math.prod(svbrdf.size), lobes)
+    return _Tried(candidate, min(took) / math.prod(svbrdf.size), lobes)
 
 
-def _fit(way: Way, svbrdf: Svbrdf, base: Base, texels: Texels, size: Size) -> _Tried:
-    tried = _Tried(way, 0.0, [])
+def _fit(candidate: Candidate, svbrdf: Svbrdf, base: Base, texels: Texels, size: Size) -> _Tried:
+    tried = _Tried(candidate, 0.0, [])
     for mip_level, at in enumerate(texels):
-        sample = LevelSample(svbrdf, mip_level, *at, way.options, base=base)
-        tried.add(*_timed(sample, way, size.repeats))
+        sample = LevelSample(svbrdf, mip_level, *at, candidate.options, base=base)
+        tried.add(*_timed(sample, candidate, size.repeats))
     return tried
 
 
-def _ask_oracle(way: Way, svbrdf: Svbrdf, base: Base, texels: Texels, others: Sequence[_Tried]) -> _Tried:
+def _ask_oracle(candidate: Candidate, svbrdf: Svbrdf, base: Base, texels: Texels, others: Sequence[_Tried]) -> _Tried:
     """The oracle: the best lobes that two optimisers find from many starts, those of the presets among them."""
-    tried = _Tried(way, 0.0, [])
-    presets = [each for each in others if each.way.group == "preset"]
+    tried = _Tried(candidate, 0.0, [])
+    presets = [each for each in others if each.candidate.group == "preset"]
     for mip_level, at in enumerate(texels):
-        sample = LevelSample(svbrdf, mip_level, *at, way.options, base=base)
+        sample = LevelSample(svbrdf, mip_level, *at, candidate.options, base=base)
         given = [Lobes(*(array[: len(sample)] for array in each.lobes[mip_level])) for each in presets]
         start = time.process_time()
         best = sample.best(given)
@@ -146,9 +146,9 @@ def _ask_oracle(way: Way, svbrdf: Svbrdf, base: Base, texels: Texels, others: Se
 
 
 def _measure(tried: Sequence[_Tried], svbrdf: Svbrdf, base: Base, texels: Texels, size: Size) -> None:
-    """Measure all ways of a lobe model against the same truth at each texel."""
-    for model in dict.fromkeys(each.way.options.model for each in tried):
-        own = [each for each in tried if each.way.options.model == model]
+    """Measure all candidates of a lobe model against the same truth at each texel."""
+    for model in dict.fromkeys(each.candidate.options.model for each in tried):
+        own = [each for each in tried if each.candidate.options.model == model]
         for mip_level, at in enumerate(texels):
             sample = LevelSample(svbrdf, mip_level, *at, FitOptions(lights="point", model=model), base=base)
             lobes = [Lobes(*(array[: len(at[0])] for array in each.lobes[mip_level])) for each in own]
@@ -165,14 +165,14 @@ def _measure(tried: Sequence[_Tried], svbrdf: Svbrdf, base: Base, texels: Texels
                     each.rendered.append(min(10.0 * math.log10(square.sum() / max(error[k].sum(), 1e-30)), 99.0))
 
 
-def _timed(sample: LevelSample, way: Way, repeats: int) -> tuple[Lobes, LevelSample, float]:
+def _timed(sample: LevelSample, candidate: Candidate, repeats: int) -> tuple[Lobes, LevelSample, float]:
     """Lobes of a sample and the least of a few measured times; a first run, which compiles, is not timed."""
-    settings = sample.settings(way.options, way.quality)
-    sample.subset(1).fit(float_width=way.float_width, settings=settings)
+    settings = sample.settings(candidate.options, candidate.quality)
+    sample.subset(1).fit(float_width=candidate.float_width, settings=settings)
     took = []
     for _ in range(repeats):
         start = time.process_time()
-        lobes, _ = sample.fit(float_width=way.float_width, settings=settings)
+        lobes, _ = sample.fit(float_width=candidate.float_width, settings=settings)
         took.append(_per_texel(start, sample))
     return lobes, sample, min(took)
 
