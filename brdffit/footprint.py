@@ -16,13 +16,16 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from brdffit.methods import one_of
 from brdffit.svbrdf import WRAPS
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 PIXEL_FILTERS = ("box", "gaussian", "mitchell")
 
@@ -99,6 +102,8 @@ def axis_matrix(pixel_filter: PixelFilter, base_size: int, level_size: int, wrap
 
     ``wrap`` is "tile" or "clamp". Rows of Mitchell's filter have negative entries.
     """
+    from scipy import sparse  # takes a tenth of a second
+
     if wrap not in WRAPS:
         raise ValueError(f"wrap is {wrap!r}, expected one of {WRAPS}")
     scale = base_size / level_size

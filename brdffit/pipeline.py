@@ -15,7 +15,6 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from brdffit.assessment import assess, draw_preview, warm_up
 from brdffit.export import writing as export
 from brdffit.export.manifest import build_manifest
 from brdffit.export.presets import get_preset
@@ -168,19 +167,21 @@ def bake_to_folder(
     """
     reading, given = split_reading(options)
     chosen = get_method(method)
-    asked = _without_normals(bake_options(chosen, preset, given), without)
+    asked: Any = _without_normals(bake_options(chosen, preset, given), without)
     phases = Phases(progress)
     with phases("reading"):
         texture_set = open_set(source, reading, without)
         name = name or (texture_set.name if texture_set else "svbrdf")
         folder = Path(output) / name
         export.check_writable(folder, preset=preset, bits=bits)
-        loading = _in_background(lambda: warm_up(asked, preview)) if isinstance(asked, LobeOptions) else None
+        loading = _in_background(lambda: _load(asked, preview)) if isinstance(asked, LobeOptions) else None
         read = dataclasses.replace(read_set(texture_set or source, {}, asked, without), name=name)
         export.check_writable(folder, read.material.size, preset, bits)
+    from brdffit.assessment import draw_preview, warm_up
+
     with phases("compiling"):
-        if loading is not None:
-            loading.result()
+        if loading is not None and not loading.result():
+            warm_up(asked, preview)
     baked = run(read, chosen, asked, phases)
     draw = (lambda: draw_preview(read.material, baked, read.name)) if preview else None
 
@@ -297,6 +298,8 @@ def finish(
     Returns:
         The manifest as written, and what was measured of each level.
     """
+    from brdffit.assessment import assess
+
     with phases("finishing"), ThreadPoolExecutor(2) as pool:
         measuring = pool.submit(assess, read.material, baked)
         drawing = None if draw is None else pool.submit(draw)
@@ -315,12 +318,28 @@ def finish(
         return written, measuring.result()
 
 
-def _in_background(work: Callable[[], None]) -> Future[None]:
+def _in_background(work: Callable[[], bool]) -> Future[bool]:
     """Run work in a thread of its own, so that an error of the caller is reported before the work ends."""
     pool = ThreadPoolExecutor(1)
     started = pool.submit(work)
     pool.shutdown(wait=False)
     return started
+
+
+def _load(options: LobeOptions, preview: bool) -> bool:
+    """Import and load what measures and draws, while the set is read: importing Numba alone takes as long.
+
+    Where nothing is compiled yet, nothing is done, and False returned: the process does not end before its threads do,
+    and a set that cannot be read must not wait for the compiler.
+    """
+    from brdffit._jit import CACHE_FOLDERS
+
+    if not any(Path(CACHE_FOLDERS["render"]).rglob("*.nbi")):
+        return False
+    from brdffit.assessment import warm_up
+
+    warm_up(options, preview)
+    return True
 
 
 def _without_normals(options: BakeOptions, without: Collection[str]) -> BakeOptions:

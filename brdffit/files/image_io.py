@@ -20,6 +20,7 @@ import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError, OutputError
+from brdffit.files.exr_chunks import is_complete
 from brdffit.files.layout import default_layer, upright
 
 #: File types that are read as maps of a texture set.
@@ -233,6 +234,10 @@ def write_mip_exr(
         _check(opened, writer, path)
         _check(writer.write_image(np.ascontiguousarray(level, dtype=np.float32)), writer, path)
     _check(writer.close(), writer, path)
+    # On a full disk the writer ends a truncated file without a word; the last bytes are written when it is let go.
+    del writer
+    if not is_complete(path):
+        raise OutputError(f"'{path}' could not be written in full: is the disk full?")
 
 
 def read_mip_exr(path: str | Path, channel_names: Sequence[str] | None = None) -> list[NDArray[np.float32]]:

@@ -14,7 +14,6 @@ from brdffit.svbrdf import WRAPS
 from brdffit.textures.coverage import DEFAULT_CUTOFF, NOTHING, looks_like_coverage
 from brdffit.textures.frames import IDENTITY, common_frame
 from brdffit.textures.gltf import gltf_material_names, read_gltf
-from brdffit.textures.materialx import materialx_material_names, read_materialx
 from brdffit.textures.naming import ROLES, NamedSet, old_cc0textures, packed_roles, roles_from_names
 from brdffit.textures.orientation import settle_normal_y
 from brdffit.textures.texture_set import MAX_SIDE, NORMAL_YS, Map, TextureSet
@@ -41,7 +40,11 @@ def read_material(path: Path, material: str | None = None) -> TextureSet:
         raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
     if not data:
         raise InputError(f"'{path}' is empty (0 bytes), expected a {suffix} file.")
-    return read_materialx(path, data, material) if suffix == ".mtlx" else read_gltf(path, data, material)
+    if suffix == ".mtlx":
+        from brdffit.textures.materialx import read_materialx
+
+        return read_materialx(path, data, material)
+    return read_gltf(path, data, material)
 
 
 def material_names(path: Path) -> list[str]:
@@ -50,7 +53,12 @@ def material_names(path: Path) -> list[str]:
     Raises:
         InputError: when the file cannot be read.
     """
-    names = materialx_material_names(path) if path.suffix.lower() == ".mtlx" else gltf_material_names(path)
+    if path.suffix.lower() == ".mtlx":
+        from brdffit.textures.materialx import materialx_material_names
+
+        names = materialx_material_names(path)
+    else:
+        names = gltf_material_names(path)
     return names if len(names) < 2 else [name for name in names if read_material(path, name).maps]
 
 

@@ -15,6 +15,7 @@ import pytest
 from pictures import write_image
 
 from brdffit.errors import InputError, OutputError
+from brdffit.files.exr_chunks import is_complete
 from brdffit.files.image_io import IMAGE_SUFFIXES, read_image, read_info, read_mip_exr, write_mip_exr, write_png
 
 RNG = np.random.default_rng(0)
@@ -75,6 +76,24 @@ def test_a_mip_exr_has_no_date_in_it(tmp_path: Path) -> None:
 def test_a_chain_that_stops_short_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="last MIP level"):
         write_mip_exr(tmp_path / "a.exr", mip_levels(8, 8)[:-1], ("X", "Y", "Z"))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (130, 3), (100, 200)])
+def test_a_mip_exr_is_complete_only_with_each_of_its_chunks(tmp_path: Path, size: tuple[int, int]) -> None:
+    path = tmp_path / "a.exr"
+    write_mip_exr(path, mip_levels(*size), ("X", "Y", "Z"))
+    whole = path.read_bytes()
+    assert is_complete(path)
+    for kept in {*range(0, len(whole), max(len(whole) // 50, 1)), len(whole) - 1}:
+        path.write_bytes(whole[:kept])
+        assert not is_complete(path), kept
+    # The last chunk is that of the level 1x1: three floats. A writer that stopped before it leaves its offset at 0.
+    last = (len(whole) - 20 - 12).to_bytes(8, "little")
+    assert whole.count(last) == 1
+    path.write_bytes(whole.replace(last, bytes(8))[:-32])
+    assert not is_complete(path)
+    path.write_bytes(whole + bytes(1))
+    assert not is_complete(path)
 
 
 def test_a_missing_channel_is_told(tmp_path: Path) -> None:
