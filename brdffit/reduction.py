@@ -87,7 +87,7 @@ def reduce_set(large: LargeSet, method: Method, options: BakeOptions, progress: 
         found = baked.lobes[level]
         cut = slice(before >> level, (before >> level) + last - first)
         bands.append({name: array[cut] for name, array in found.svbrdf.arrays().items() if name != "height"})
-        side, above = min(_SHOWN, *large.texture_set.size), first << level
+        side, above = min(_SHOWN, *large.base), first << level
         if above < side:
             seen = slice(before, before + min(last << level, side) - above)
             shown.append({name: array[seen, :side].copy() for name, array in base.arrays().items()})
@@ -166,8 +166,8 @@ def bake_levels_from(
 
 def predicted_memory(large: LargeSet) -> int:
     """Bytes that a bake takes at most, in addition to those of the program itself."""
-    band = large.rows_of_band * large.texture_set.size[1]
-    shown = min(_SHOWN, *large.texture_set.size) ** 2
+    band = large.rows_of_band * large.base[1]
+    shown = min(_SHOWN, *large.base) ** 2
     peak = max(BYTES_PER_TEXEL * band + BYTES_KEPT * shown, BYTES_SHOWN * shown)
     return peak + BYTES_PER_REDUCED_TEXEL * math.prod(large.size)
 

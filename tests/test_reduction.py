@@ -21,6 +21,7 @@ from brdffit.roughness import eigenvalues_of_log
 from brdffit.textures import rows
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.procedural import make_set
+from brdffit.textures.resampled_rows import ResampledRows
 from brdffit.textures.rows import LargeSet, open_large
 
 SIZE = 128
@@ -134,18 +135,73 @@ def test_a_large_set_takes_the_channel_and_the_range_that_the_whole_does(tmp_pat
         assert np.array_equal(lobes.normal[before : before + 16], whole.normal[first : first + 16])
 
 
-@pytest.mark.parametrize(
-    ("level", "size", "expected"),
-    [
-        (7, (64, 64), "levels cannot be taken from 7 on, expected 1 to 6"),
-        (3, (60, 64), "64x60, expected sides that are multiples of 8"),
-    ],
-)
-def test_levels_that_there_are_not_are_refused(tmp_path, level, size, expected):
-    path = height_file(tmp_path, size)
-    found = CliRunner().invoke(main, ["bake", str(path), "-o", str(tmp_path / "out"), "--levels-from", str(level)])
-    assert found.exit_code == 1 and expected in found.output, found.output
+def test_levels_that_there_are_not_are_refused(tmp_path):
+    path = height_file(tmp_path)
+    found = CliRunner().invoke(main, ["bake", str(path), "-o", str(tmp_path / "out"), "--levels-from", "7"])
+    assert found.exit_code == 1 and "levels cannot be taken from 7 on, expected 1 to 6" in found.output, found.output
     assert not (tmp_path / "out").exists()
+
+
+def exr_levels(pixels):
+    """Levels of an EXR whose level 0 has the pixels (h, w)."""
+    levels = [pixels[:, :, None].astype(np.float32)]
+    while max(levels[-1].shape[:2]) > 1:
+        height, width = (max(length // 2, 1) for length in levels[-1].shape[:2])
+        levels.append(np.zeros((height, width, 1), np.float32))
+    return levels
+
+
+@pytest.mark.parametrize("tile", [True, False])
+def test_resampled_rows_hold_constants_lines_and_ranges(tmp_path, tile):
+    row, column = np.indices((60, 75))
+    for k, pixels in enumerate([np.full((60, 75), 0.3), 2.0 * row - 3.0 * column, np.sin(7.0 * row + column**2)]):
+        path = tmp_path / f"{k}.exr"
+        write_mip_exr(path, exr_levels(pixels), ["Y"])
+        with ImageRows(path) as file:
+            resampled = ResampledRows(file, (64, 72), tile)
+            found = resampled.read(0, 64)[:, :, 0]
+            pieces = [resampled.read(first, last)[:, :, 0] for first, last in ((0, 1), (1, 40), (40, 64))]
+        assert np.array_equal(found, np.concatenate(pieces))
+        assert pixels.min() - 1e-6 <= found.min() and found.max() <= pixels.max() + 1e-6
+        if k == 1:
+            y, x = np.indices((64, 72)) + 0.5
+            line = 2.0 * (y * 60 / 64 - 0.5) - 3.0 * (x * 75 / 72 - 0.5)
+            assert np.abs(found - line)[3:-3, 3:-3].max() < 1e-4
+        if k == 0:
+            assert np.ptp(found) < 1e-7
+
+
+@pytest.mark.parametrize("wrap", ["tile", "clamp"])
+def test_slopes_stay_where_sides_are_resampled(tmp_path, monkeypatch, wrap):
+    """Of waves along both axes, each side changed by another factor: in the middle, and across the border of a tile."""
+    level = small_bands(monkeypatch, level=3, texels=64 * 16)
+    height, width = 60, 75
+    row, column = np.indices((height, width)) + 0.5
+    pixels = 0.5 + 0.25 * np.sin(2.0 * np.pi * column / width) + 0.25 * np.cos(2.0 * np.pi * row / height)
+    write_mip_exr(tmp_path / "waves_height.exr", exr_levels(pixels), ["Y"])
+    with LargeSet(open_large(tmp_path, {"height_scale": 8.0, "wrap": wrap}), level, 0.05) as large:
+        assert large.base == (64, 72) and large.size == (8, 9) and len(large.bands) == 8
+        bands = [large.lobes(first << level, last << level) for first, last in large.bands]
+        found = np.concatenate([
+            each.normal[before : before + 8] for each, before in bands
+        ])  # fmt: skip
+    y, x = np.indices((64, 72)) + 0.5
+    across = 2.0 * np.cos(2.0 * np.pi * x / 72) * 2.0 * np.pi / width
+    down = -2.0 * np.sin(2.0 * np.pi * y / 64) * 2.0 * np.pi / height
+    expected = np.stack([-across, down, np.ones_like(across)], axis=2)
+    expected /= np.linalg.norm(expected, axis=2, keepdims=True)
+    wrong = np.abs(found - expected).max(axis=2)
+    # Differences of neighbours are smaller than derivatives by (2 pi / 64)^2 / 6, 0.002 of them.
+    assert (wrong if wrap == "tile" else wrong[3:-3, 3:-3]).max() < 1e-3
+
+
+def test_sides_that_are_no_multiples_are_resampled_and_told(tmp_path):
+    path = height_file(tmp_path, (60, 67))
+    report = bake_levels_from(path, tmp_path / "out", 3, method="lean", preview=False)
+    told = "Sides must be multiples of 8: 67x60 texels are resampled to 64x64, with the slopes that they have."
+    assert told in report.notes
+    assert report.baked.lobes[0].svbrdf.size == (8, 8)
+    assert report.manifest["levels_from"]["size"] == [67, 60]
 
 
 def test_sets_that_cannot_be_read_in_rows_are_refused(tmp_path):

@@ -23,6 +23,7 @@ from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.noise_floor import CodeNoise, code_noise
 from brdffit.textures.reading import explicit_roles, read_texture_set, settle
 from brdffit.textures.relief import height_scale
+from brdffit.textures.resampled_rows import ResampledRows, read_at
 from brdffit.textures.texture_set import Map, TextureSet
 
 #: Roles that are read in rows; the normals are those of the height.
@@ -35,31 +36,37 @@ BAND_TEXELS, MARGIN = 1 << 21, 2
 class _Rows(Map):
     """Some rows of a map, one after the other; ``indices`` (n,) may go around the border of a set that tiles."""
 
-    file: ImageRows | None = None
+    file: ImageRows | ResampledRows | None = None
     indices: NDArray | None = None
+    width: int = 0
 
     @property
     def size(self) -> tuple[int, int]:
         """(rows, width)."""
         assert self.indices is not None
-        return len(self.indices), self.info.width
+        return len(self.indices), self.width
 
     def read(self) -> tuple[NDArray[np.float32], CodeNoise]:
         """See ``Map.read``; finite numbers were checked before."""
         assert self.file is not None and self.indices is not None
-        breaks = np.flatnonzero(np.diff(self.indices) != 1) + 1
-        runs = np.split(self.indices, breaks)
-        pixels = np.concatenate([self.file.read(int(run[0]), int(run[-1]) + 1) for run in runs])
-        return pixels, code_noise(self.info.bits, self.info.is_float, self.info.format)
+        return read_at(self.file, self.indices), code_noise(self.info.bits, self.info.is_float, self.info.format)
 
 
 class LargeSet:
     """A set that is turned into lobes a band of rows at a time; use it in a ``with`` statement.
 
+    Sides that are no multiples of 2^K are resampled to the nearest. The maps still cover the same part of the surface,
+    so texels are W / W' times as wide and heights, told in widths of texels, W' / W times as large; slopes stay as they
+    are. Where the two sides change by different factors, so do those of the texels: slopes down the picture are then
+    (H' / H) / (W' / W) times those of square texels.
+
     Args:
         texture_set: with a height map; each map is of its size or of one texel.
-        level: K; both sides must be multiples of 2^K.
+        level: K.
         min_roughness: of ``to_svbrdf``.
+
+    Attributes:
+        base: (height, width) in texels that level K is made from, multiples of 2^K.
 
     Raises:
         InputError: where sizes are others, or a map is damaged or holds numbers that are not finite.
@@ -68,8 +75,15 @@ class LargeSet:
     def __init__(self, texture_set: TextureSet, level: int, min_roughness: float) -> None:
         self.texture_set, self.level, self.min_roughness = texture_set, level, min_roughness
         _check(texture_set, level)
-        self.rows = max(BAND_TEXELS // texture_set.size[1] >> level, 1) << level
+        height, width = self.source = texture_set.size
+        self.base = ((height + (1 << level >> 1)) >> level << level, (width + (1 << level >> 1)) >> level << level)
+        self.rows = max(BAND_TEXELS // self.base[1] >> level, 1) << level
         self.notes: list[str] = []
+        if self.base != self.source:
+            texture_set.note(
+                f"Sides must be multiples of {1 << level}: {width}x{height} texels are resampled to "
+                f"{self.base[1]}x{self.base[0]}, with the slopes that they have."
+            )
         with ExitStack() as stack:
             wide = [role for role, named in texture_set.maps.items() if named.size != (1, 1)]
             self._files = {role: stack.enter_context(ImageRows(texture_set.maps[role].path)) for role in wide}
@@ -85,8 +99,7 @@ class LargeSet:
     @property
     def size(self) -> tuple[int, int]:
         """(height, width) of level K."""
-        height, width = self.texture_set.size
-        return height >> self.level, width >> self.level
+        return self.base[0] >> self.level, self.base[1] >> self.level
 
     @property
     def bands(self) -> list[tuple[int, int]]:
@@ -97,14 +110,14 @@ class LargeSet:
     @property
     def rows_of_band(self) -> int:
         """Rows of the largest band, with its margin."""
-        return min(self.rows, self.texture_set.size[0]) + (2 * MARGIN << self.level)
+        return min(self.rows, self.base[0]) + (2 * MARGIN << self.level)
 
     def lobes(self, first: int, last: int) -> tuple[Svbrdf, int]:
         """Rows ``first`` to ``last`` (excluded) as lobes with a margin, and how many rows of margin come before them.
 
         A set that tiles goes on around its border; one that does not ends there.
         """
-        height, margin = self.texture_set.size[0], MARGIN << self.level
+        height, margin = self.base[0], MARGIN << self.level
         low, high = first - margin, last + margin
         if self.texture_set.wrap != "tile":
             low, high = max(low, 0), min(high, height)
@@ -112,15 +125,27 @@ class LargeSet:
         tile = self.texture_set.wrap == "tile"
         before, behind = int(tile or low > 0), int(tile or high < height)
         indices = np.arange(low - before, high + behind)
-        band = dataclasses.replace(self.texture_set, maps=self._cut(indices % height), notes=[])
+        down, across = (base / source for base, source in zip(self.base, self.source, strict=True))
+        scale = self.texture_set.height_scale
+        band = dataclasses.replace(
+            self.texture_set, maps=self._cut(indices % height), notes=[],
+            height_scale=None if scale is None else scale * across,
+        )  # fmt: skip
         svbrdf = to_svbrdf(band, min_roughness=self.min_roughness)
+        if down != across:
+            normal = svbrdf.normal * np.array([1.0, down / across, 1.0], np.float32)
+            svbrdf = svbrdf.replace(normal=normal / np.linalg.norm(normal, axis=2, keepdims=True))
         self.notes += [note for note in band.notes if note not in self.notes]
         inner = slice(before, len(indices) - behind)
         return svbrdf.replace(**{name: array[inner] for name, array in svbrdf.arrays().items()}), first - low
 
     def _cut(self, indices: NDArray) -> dict[str, Map]:
+        tile = self.texture_set.wrap == "tile"
+        files: dict[str, ImageRows | ResampledRows] = dict(self._files)
+        if self.base != self.source:
+            files = {role: ResampledRows(file, self.base, tile) for role, file in self._files.items()}
         return {
-            role: _Rows(**{**_fields(named), "file": self._files[role], "indices": indices})
+            role: _Rows(**{**_fields(named), "file": files[role], "indices": indices, "width": self.base[1]})
             if role in self._files else named
             for role, named in self._maps.items()
         }  # fmt: skip
@@ -184,11 +209,6 @@ def _check(texture_set: TextureSet, level: int) -> None:
     if level > deepest:
         raise InputError(
             f"{of} is {width}x{height} and its levels cannot be taken from {level} on, expected 1 to {deepest}."
-        )
-    if height % (1 << level) or width % (1 << level):
-        raise InputError(
-            f"{of} is {width}x{height}, expected sides that are multiples of {1 << level} to take its levels from "
-            f"{level} on: crop or resample it."
         )
 
 
