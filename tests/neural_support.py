@@ -54,6 +54,14 @@ def chain(network: Network, name, values):
     return values
 
 
+def shift_of(network: Network, query, sigma=0.0):
+    """The parallax offset (2,) of one query, across and down in texels of level 0."""
+    x, y, _, _, _, vx, vy = query[:7].astype(float)
+    texture = blurred(texels(network.offset_texture, network.base.sizes), sigma, network.design.size)[0]
+    depth = chain(network, "offset", np.concatenate([bilinear(texture, x, y), [vx, vy]]))[0]
+    return network.reach * np.array([vx, -vy]) * depth / max(math.sqrt(max(1 - vx * vx - vy * vy, 0)), 0.6)
+
+
 def predicted(network: Network, query, sigma=0.0):
     """p (3,), not clamped at 0, of one query."""
     design = network.design
@@ -62,10 +70,8 @@ def predicted(network: Network, query, sigma=0.0):
     lz, vz = (math.sqrt(max(1 - a * a - b * b, 0)) for a, b in ((lx, ly), (vx, vy)))
     pyramid = blurred(texels(network.pyramid, network.layout.sizes), sigma, design.size)
     if design.with_offset:
-        texture = blurred(texels(network.offset_texture, network.base.sizes), sigma, design.size)[0]
-        depth = chain(network, "offset", np.concatenate([bilinear(texture, x, y), [vx, vy]]))[0]
-        x += network.reach[0] * depth * vx / max(vz, 0.6)
-        y -= network.reach[1] * depth * vy / max(vz, 0.6)
+        across, down = shift_of(network, query, sigma)
+        x, y = x + across, y + down
     fine = min(int(detail), len(pyramid) - 2)
     part = detail - fine
     features = sum(

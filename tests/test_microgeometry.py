@@ -229,6 +229,21 @@ def test_parallax_moves_a_stripe_by_its_height_over_the_slope_of_the_view():
         assert abs(centre - (30.5 - sign * (6.0 - height.mean()))) < 1e-3
 
 
+def test_parallax_is_the_way_to_the_point_that_is_seen():
+    """Without shadows, what is seen at a point of the plane is what maps have where the parallax leads to."""
+    source = material(np.hstack([bumps(32, 1.5)] * 2), diffuse=0.2)
+    rng = np.random.default_rng(12)
+    position, view = rng.uniform(0, 40, (400, 2)), hemisphere(rng, 400, 0.3)
+    shown = Microgeometry.of(source, Effects(True, False, 0))
+    moved = position + shown.parallax(position, view)
+    assert np.abs(moved - position).max() > 1.0
+    flat = Microgeometry.of(source, NO_EFFECTS)
+    light = np.tile(toward(10, 20), (400, 1))
+    np.testing.assert_allclose(
+        shown.reflect(position, view, light, 1), flat.reflect(moved, view, light, 1), rtol=1e-4, atol=1e-6
+    )
+
+
 def test_it_repeats_and_does_not_depend_on_the_number_of_threads():
     rng = np.random.default_rng(7)
     base = material(bumps(24))

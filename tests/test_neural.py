@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from neural_support import predicted
+from neural_support import predicted, shift_of
 
 from brdffit.neural.network import Design, Learner, Network, Reader
 from brdffit.neural.pyramid import Layout, periodic_taps
@@ -73,20 +73,44 @@ def test_gradients_are_those_of_differences(design, logarithmic, sigma):
     # Below, the gradient passes a clamp straight through, so that what went too low comes back.
     assert held.min() > -0.2
     assert loss == pytest.approx(loss_of(network, asked, targets, logarithmic, held, sigma), rel=1e-4)
-    for name, values in network.parameters().items():
-        assert np.abs(gradients[name]).max() > 0
-        # Along the gradient, which no cancellation hides, and a little off it.
-        direction = gradients[name] / np.abs(gradients[name]).max()
-        direction += 0.2 * rng.standard_normal(direction.size) * (gradients[name] != 0)
+    assert set(gradients) == set(network.parameters())
+    check_gradients(network, gradients, lambda: loss_of(network, asked, targets, logarithmic, held, sigma), rng)
+
+
+def check_gradients(network, gradients, loss, rng):
+    """Each gradient against differences along it, which no cancellation hides, and a little off it."""
+    for name, gradient in gradients.items():
+        values = network.parameters()[name]
+        assert np.abs(gradient).max() > 0
+        direction = gradient / np.abs(gradient).max()
+        direction += 0.2 * rng.standard_normal(direction.size) * (gradient != 0)
         step = 1e-4 / np.abs(direction).max()
         kept, ends = values.copy(), []
         for side in (1, -1):
             # What float32 makes of the step is divided by.
             values[:] = kept + np.float32(side * step) * direction
-            ends.append((loss_of(network, asked, targets, logarithmic, held, sigma), values.astype(float)))
+            ends.append((loss(), values.astype(float)))
         values[:] = kept
-        expected = float(gradients[name].astype(float) @ (ends[0][1] - ends[1][1]))
+        expected = float(gradient.astype(float) @ (ends[0][1] - ends[1][1]))
         assert ends[0][0] - ends[1][0] == pytest.approx(expected, rel=QUOTIENT), name
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1.3])
+def test_gradients_of_the_guided_offset_are_those_of_differences(sigma):
+    network = network_of()
+    rng = np.random.default_rng(16)
+    asked, true = queries(64, rng), rng.uniform(-1, 1, (64, 2)).astype(np.float32)
+    learner = Learner(network, 1)
+    learner.refresh(sigma)
+    loss, gradients = learner.guide(asked, true)
+
+    def expected() -> float:
+        wrong = np.array([shift_of(network, query, sigma) for query in asked]) - true
+        return float((np.sqrt(np.square(wrong).sum(axis=1) + 0.25**2) - 0.25).mean())
+
+    assert loss == pytest.approx(expected(), rel=1e-4)
+    assert set(gradients) == {"offset", "offset_texture"}
+    check_gradients(network, gradients, expected, rng)
 
 
 def test_gradients_are_the_same_bytes_on_any_number_of_threads():

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from brdffit.microgeometry.heightfield import HeightField
 from brdffit.microgeometry.kernels.paths import reflect_rows
+from brdffit.microgeometry.kernels.traversal import meet_rows
 from brdffit.render._packing import shading_kernels
 from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf
@@ -97,6 +98,24 @@ class Microgeometry:
         found = self._trace(position, sigma, light, view, seed)
         # M is defined for an irradiance of 1 on the plane.
         return found / np.maximum(np.asarray(light, np.float32)[:, 2:], np.float32(1e-4))
+
+    def parallax(self, position: NDArray, view: NDArray) -> NDArray:
+        """(n, 2) from positions on the plane to the columns and rows where the surface is seen, in texels.
+
+        Args:
+            position: (n, 2), (column, row) in texels of the tile.
+            view: (n, 3) unit vectors to the viewer, above the plane.
+        """
+        field = self.field
+        top = float(field.maxima[field.levels[-1, 0]]) + 1e-3
+        downwards = np.asarray(view, np.float64) * (-1.0, 1.0, -1.0)
+        origin = np.empty_like(downwards)
+        # The ray meets the plane at the position, and vertices stand at texel centres.
+        origin[:, :2] = position - 0.5 + downwards[:, :2] * ((top - field.reference) / downwards[:, 2:])
+        origin[:, 2] = top
+        met = np.empty((len(origin), 5))
+        meet_rows(field.height, field.maxima, field.levels, origin, downwards, met)
+        return np.where(met[:, :1] >= 0.0, met[:, 1:3] - (position - 0.5), 0.0)
 
     def _trace(self, position: NDArray, sigma: NDArray, light: NDArray, view: NDArray, seed: int) -> NDArray:
         count = len(position)

@@ -14,10 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.neural.kernels.dense import MATRIX, NARROW, ONE, PITCH, ROWS, TRANSPOSED, UNITS
+from brdffit.neural.kernels.dense import LAYERS, MATRIX, NARROW, ONE, PITCH, ROWS, TRANSPOSED, UNITS
 from brdffit.neural.kernels.material import (
-    LAYERS,
-    OFFSET_INPUTS,
     OUTPUTS,
     PLAIN_INPUTS,
     QUERY,
@@ -26,6 +24,7 @@ from brdffit.neural.kernels.material import (
     look_up_part,
     train_part,
 )
+from brdffit.neural.kernels.offset import OFFSET_INPUTS, guide_part
 from brdffit.neural.kernels.textures import CHANNELS, KEPT, TEXEL, gather_parts
 from brdffit.neural.pyramid import Layout
 
@@ -248,32 +247,54 @@ class Learner(Reader):
             logarithmic: the paper's loss on logarithms; otherwise a loss that noise in the targets does not bias.
         """
         network = self.network
-        losses = np.zeros((PARTS, 8))
 
-        def work(part: int, first: int, last: int) -> None:
-            own = self.scratch[part]
-            mine = {
-                name: all_parts[part * len(self.sums[name]) : (part + 1) * len(self.sums[name])]
-                for name, all_parts in self.parts.items()
-            }
+        def work(part: int, first: int, last: int, losses: NDArray) -> None:
+            own, mine = self.scratch[part], self._gradients_of(part)
             train_part(
                 first, last, queries, targets, network.layout.rooms, self.pyramid, self.offset_texture, network.decoder,
                 network.offset, network.reach, network.design.tilted, network.design.with_offset, logarithmic,
                 mine["pyramid"], mine["offset_texture"], mine["decoder"], mine["offset"], own.rows, own.hidden,
-                own.offset_hidden, own.d_hidden, own.transposed, own.places, losses[part],
+                own.offset_hidden, own.d_hidden, own.transposed, own.places, losses,
             )  # fmt: skip
 
-        self.in_parts(len(queries) // ROWS, work)
-        for name in network.parameters():
+        return self._gathered(work, len(queries), 3 * len(queries), tuple(network.parameters()))
+
+    def guide(self, queries: NDArray, shifts: NDArray) -> tuple[float, dict[str, NDArray]]:
+        """The loss of the offset module alone on a batch, and its gradient by each of that module's parameters.
+
+        Args:
+            queries: (n, QUERY) float32, n a multiple of ROWS; their lights and levels are not used.
+            shifts: (n, 2) float32, from the position to the point that is seen, across and down in texels of level 0.
+        """
+        network = self.network
+
+        def work(part: int, first: int, last: int, losses: NDArray) -> None:
+            own, mine = self.scratch[part], self._gradients_of(part)
+            guide_part(
+                first, last, queries, shifts, network.layout.rooms, self.offset_texture, network.offset, network.reach,
+                mine["offset_texture"], mine["offset"], own.rows, own.offset_hidden, own.d_hidden, own.transposed,
+                own.places, losses,
+            )  # fmt: skip
+
+        return self._gathered(work, len(queries), len(queries), ("offset_texture", "offset"))
+
+    def _gradients_of(self, part: int) -> dict[str, NDArray]:
+        return {name: self.parts[name][part * len(each) : (part + 1) * len(each)] for name, each in self.sums.items()}
+
+    def _gathered(
+        self, work: Callable[[int, int, int, NDArray], None], count: int, terms: int, names: tuple[str, ...]
+    ) -> tuple[float, dict[str, NDArray]]:
+        """Mean loss over ``terms``, and its gradients: sums of those that ``work`` adds to for each part."""
+        losses = np.zeros((PARTS, 8))
+        self.in_parts(count // ROWS, lambda part, first, last: work(part, first, last, losses[part]))
+        for name in names:
             size = len(self.sums[name])
             self.in_parts(size, lambda _, first, last, name=name: self._sum(name, first, last))  # type: ignore[misc]
-        scale = np.float32(1.0 / (3 * len(queries)))
-        gradients = {}
-        for name in network.parameters():
-            gradients[name] = self.sums[name] * scale
-        gradients["pyramid"] = network.layout.pull_back(gradients["pyramid"], self.sigma)
-        if network.design.with_offset:
-            gradients["offset_texture"] = network.base.pull_back(gradients["offset_texture"], self.sigma)
+        scale = np.float32(1.0 / terms)
+        gradients = {name: self.sums[name] * scale for name in names}
+        for name, layout in (("pyramid", self.network.layout), ("offset_texture", self.network.base)):
+            if name in names:
+                gradients[name] = layout.pull_back(gradients[name], self.sigma)
         return float(losses[:, 0].sum()) * float(scale), gradients
 
     def _sum(self, name: str, first: int, last: int) -> None:

@@ -21,8 +21,8 @@ from brdffit.errors import InputError
 from brdffit.machine import free_memory
 from brdffit.microgeometry.queries import Queries, QuerySource
 from brdffit.nets.adam import Adam
-from brdffit.neural.kernels.dense import MATRIX
-from brdffit.neural.kernels.material import LAYERS, QUERY
+from brdffit.neural.kernels.dense import LAYERS, MATRIX
+from brdffit.neural.kernels.material import QUERY
 from brdffit.neural.material import KIND, arrays_of, meta_of
 from brdffit.neural.measured import Measured
 from brdffit.neural.network import PARTS, Design, Learner, Network

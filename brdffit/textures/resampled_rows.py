@@ -64,12 +64,10 @@ class ResampledRows:
 
 def _weighted(array: NDArray, taps: NDArray, weights: NDArray, axis: int) -> NDArray:
     """Sums of four samples along an axis of (h, w, C), within the least and the largest of them."""
-    total = low = high = None
+    low = high = np.take(array, taps[:, 0], axis)
+    total = np.zeros_like(low)
     for k in range(4):
         each = np.take(array, taps[:, k], axis)
-        weight = weights[:, k].reshape(-1, *[1] * (2 - axis))
-        if total is None:
-            total, low, high = each * weight, each, each
-        else:
-            total, low, high = total + each * weight, np.minimum(low, each), np.maximum(high, each)
-    return np.clip(total, low, high)  # type: ignore[arg-type]
+        total += each * weights[:, k].reshape(-1, *[1] * (2 - axis))
+        low, high = np.minimum(low, each), np.maximum(high, each)
+    return np.clip(total, low, high)

@@ -33,6 +33,8 @@ from brdffit.nets.vectors import (
 
 #: Queries of a block: its features stay in the first two caches of a core.
 ROWS = 64
+#: Layers of each network.
+LAYERS = 4
 #: Units of a hidden layer.
 UNITS = 25
 #: The column of hidden features that holds 1.
@@ -114,3 +116,19 @@ def transpose(weights, layers, ins, transposed):
         for k in range(ins if layer == 0 else UNITS):
             for j in range(UNITS):
                 transposed[layer * TRANSPOSED + j * PITCH + k] = weights[layer * MATRIX + k * PITCH + j]
+
+
+@kernel
+def chain_back(transposed, gradient, outs, inputs, hidden, d_out, d_hidden, d_inputs):
+    """Backward through the four layers of either network."""
+    weigh_hidden(gradient, 3 * MATRIX, 1, hidden[2], d_out, NARROW)
+    backward(transposed, 3 * TRANSPOSED, outs, 2, d_out, NARROW, d_hidden[0], PITCH)
+    rectify_back(hidden[2], d_hidden[0])
+    weigh_hidden(gradient, 2 * MATRIX, 2, hidden[1], d_hidden[0], PITCH)
+    backward(transposed, 2 * TRANSPOSED, UNITS, 2, d_hidden[0], PITCH, d_hidden[1], PITCH)
+    rectify_back(hidden[1], d_hidden[1])
+    weigh_hidden(gradient, MATRIX, 2, hidden[0], d_hidden[1], PITCH)
+    backward(transposed, TRANSPOSED, UNITS, 2, d_hidden[1], PITCH, d_hidden[0], PITCH)
+    rectify_back(hidden[0], d_hidden[0])
+    weigh_inputs(gradient, 0, inputs, d_hidden[0])
+    backward(transposed, 0, UNITS, 1, d_hidden[0], PITCH, d_inputs, NARROW)

@@ -25,42 +25,20 @@ import math
 import numpy as np
 
 from brdffit._jit import inline, kernel
-from brdffit.neural.kernels.dense import (
-    MATRIX,
-    NARROW,
-    PITCH,
-    ROWS,
-    TRANSPOSED,
-    UNITS,
-    backward,
-    forward,
-    rectify_back,
-    transpose,
-    weigh_hidden,
-    weigh_inputs,
-)
+from brdffit.neural.kernels.dense import LAYERS, MATRIX, NARROW, PITCH, ROWS, UNITS, chain_back, forward, transpose
+from brdffit.neural.kernels.offset import OFFSET_INPUTS, height_of, offset_back, offset_block
 from brdffit.neural.kernels.textures import CHANNELS, by_position, interpolate, scatter, spread
 
 _F = np.float32
 #: Columns of a query: x, y in texels of level 0, level, light x and y, view x and y, and one that is not read.
 QUERY = 8
-#: Layers of each network.
-LAYERS = 4
 #: Outputs of the decoder: three colours, three masks.
 OUTPUTS = 6
-#: Inputs of the offset network.
-OFFSET_INPUTS = CHANNELS + 2
 #: Inputs of the decoder as printed, and seen from a learned tilt.
 PLAIN_INPUTS, TILTED_INPUTS = CHANNELS + 4, CHANNELS + 7
-_STEEPEST_VIEW = _F(0.6)
 _LEAST_MASK = _F(0.1)
 _NARROWEST = _F(0.001)
 _LEAST = _F(-0.2)
-
-
-@inline
-def _z(x, y):
-    return math.sqrt(max(_F(1.0) - x * x - y * y, _F(0.0)))
 
 
 @inline
@@ -75,62 +53,6 @@ def _bounded(x):
 
 
 @kernel
-def offset_block(network, texture, rooms, queries, start, reach, inputs, hidden, out, shift, places, kept):
-    """Where a block reads the pyramid: ``shift`` (2 * ROWS), in texels of level 0; ``reach`` = (x, y) of r = 1."""
-    one, zero = _F(1.0), _F(0.0)
-    for i in range(2 * ROWS):
-        shift[i] = zero
-    interpolate(texture, rooms, 1, queries, start, shift, inputs, places, kept)
-    for i in range(ROWS):
-        at = i * NARROW
-        inputs[at + CHANNELS], inputs[at + CHANNELS + 1] = queries[start + i, 5], queries[start + i, 6]
-        inputs[at + OFFSET_INPUTS] = one
-        for k in range(OFFSET_INPUTS + 1, NARROW):
-            inputs[at + k] = zero
-    forward(network, 0, OFFSET_INPUTS, 2, inputs, NARROW, hidden[0], PITCH, zero)
-    forward(network, MATRIX, UNITS, 2, hidden[0], PITCH, hidden[1], PITCH, zero)
-    forward(network, 2 * MATRIX, UNITS, 2, hidden[1], PITCH, hidden[2], PITCH, zero)
-    forward(network, 3 * MATRIX, UNITS, 1, hidden[2], PITCH, out, NARROW, one)
-    for i in range(ROWS):
-        vx, vy = queries[start + i, 5], queries[start + i, 6]
-        depth = out[i * NARROW] / max(_z(vx, vy), _STEEPEST_VIEW)
-        shift[2 * i], shift[2 * i + 1] = reach[0] * depth * vx, -reach[1] * depth * vy
-
-
-@kernel
-def offset_back(
-    transposed, texture_gradient, gradient, queries, start, reach, inputs, hidden, d_shift, places, kept, d_hidden,
-    d_inputs, d_out,
-):  # fmt: skip
-    """Add the gradients of the offset network and of its texture, from dL/dshift."""
-    for i in range(ROWS):
-        vx, vy = queries[start + i, 5], queries[start + i, 6]
-        by_depth = reach[0] * vx * d_shift[2 * i] - reach[1] * vy * d_shift[2 * i + 1]
-        d_out[i * NARROW] = by_depth / max(_z(vx, vy), _STEEPEST_VIEW)
-        for k in range(1, NARROW):
-            d_out[i * NARROW + k] = _F(0.0)
-    chain_back(transposed, gradient, 1, inputs, hidden, d_out, d_hidden, d_inputs)
-    spread(d_inputs)
-    scatter(texture_gradient, 1, d_inputs, places, kept)
-
-
-@kernel
-def chain_back(transposed, gradient, outs, inputs, hidden, d_out, d_hidden, d_inputs):
-    """Backward through the four layers of either network."""
-    weigh_hidden(gradient, 3 * MATRIX, 1, hidden[2], d_out, NARROW)
-    backward(transposed, 3 * TRANSPOSED, outs, 2, d_out, NARROW, d_hidden[0], PITCH)
-    rectify_back(hidden[2], d_hidden[0])
-    weigh_hidden(gradient, 2 * MATRIX, 2, hidden[1], d_hidden[0], PITCH)
-    backward(transposed, 2 * TRANSPOSED, UNITS, 2, d_hidden[0], PITCH, d_hidden[1], PITCH)
-    rectify_back(hidden[1], d_hidden[1])
-    weigh_hidden(gradient, MATRIX, 2, hidden[0], d_hidden[1], PITCH)
-    backward(transposed, TRANSPOSED, UNITS, 2, d_hidden[1], PITCH, d_hidden[0], PITCH)
-    rectify_back(hidden[0], d_hidden[0])
-    weigh_inputs(gradient, 0, inputs, d_hidden[0])
-    backward(transposed, 0, UNITS, 1, d_hidden[0], PITCH, d_inputs, NARROW)
-
-
-@kernel
 def direct(tilted, queries, start, inputs):
     """Put the directions of a block, and the 1 behind them, beside its features."""
     zero, one = _F(0.0), _F(1.0)
@@ -142,7 +64,7 @@ def direct(tilted, queries, start, inputs):
             for k in range(5, NARROW - CHANNELS):
                 inputs[at + k] = zero
             continue
-        lz, vz = _z(lx, ly), _z(vx, vy)
+        lz, vz = height_of(lx, ly), height_of(vx, vy)
         hx, hy, hz = lx + vx, ly + vy, lz + vz
         scale = one / math.sqrt(max(hx * hx + hy * hy + hz * hz, _F(1e-12)))
         hz = hz * scale
@@ -162,7 +84,7 @@ def direct_back(queries, start, inputs, d_inputs):
     for i in range(ROWS):
         lx, ly, vx, vy = queries[start + i, 3], queries[start + i, 4], queries[start + i, 5], queries[start + i, 6]
         at, own = i * NARROW + CHANNELS, i * NARROW
-        hx, hy, hz = lx + vx, ly + vy, _z(lx, ly) + _z(vx, vy)
+        hx, hy, hz = lx + vx, ly + vy, height_of(lx, ly) + height_of(vx, vy)
         hz = hz / math.sqrt(max(hx * hx + hy * hy + hz * hz, _F(1e-12)))
         ux, uy = _F(0.5) * inputs[at], _F(0.5) * inputs[at + 1]
         by_log = _F(-0.5) * d_inputs[at + 4] / (ux * ux + uy * uy + _NARROWEST)
