@@ -1,4 +1,4 @@
-"""Others' programs load what we write: three.js in Chromium shows our own levels, one colour each, read back."""
+"""Others' programs load what we write: three.js, PlayCanvas and Filament show our own levels, one colour each."""
 
 import json
 import shutil
@@ -62,6 +62,9 @@ def seen(tmp_path_factory):
     result = node("browser.mjs", samples, "playcanvas.html", "file=set.glb")
     assert result.returncode == 0, result.stderr
     found["playcanvas"] = json.loads(result.stdout)
+    result = node("browser.mjs", samples, "filament.html", "file=set.glb")
+    assert result.returncode == 0, result.stderr
+    found["filament"] = json.loads(result.stdout)
     return found, [level.svbrdf for level in pyramid.levels], factors
 
 
@@ -109,3 +112,16 @@ def test_playcanvas_shows_our_levels_of_a_glb(seen):
         ("diffuseMap", [level.specular[0, 0] for level in levels]), ("normalMap", normals_of(levels, factors.normal)),
     ):  # fmt: skip
         assert_levels({"error": 0, **shown[name]}, expected)
+
+
+def test_filament_shows_our_levels_of_a_glb(seen):
+    found, levels, factors = seen
+    shown = found["filament"]
+    assert "error" not in shown and not shown["console"], shown
+    textures = shown["textures"]
+    assert len(textures) == 4  # base colour, normal, occlusion with roughness and metallic, anisotropy
+    # It tells no names, and transcodes in any order: each map is one of its textures.
+    for expected in ([level.specular[0, 0] for level in levels], normals_of(levels, factors.normal)):
+        wanted = 255.0 * np.asarray(expected)
+        apart = [np.abs(np.array(each["levels"], float)[:, :3] - wanted).max() for each in textures]
+        assert min(apart) <= CODES

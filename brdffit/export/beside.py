@@ -10,6 +10,9 @@ from typing import NamedTuple
 from brdffit.export.presets import Preset
 from brdffit.svbrdf import Svbrdf
 
+#: Name, type and node (by name) or number of a MaterialX node's input.
+_Input = tuple[str, str, str | float]
+
 
 class Alpha(NamedTuple):
     """Alpha of a base colour; a mask is cut out below ``cutoff``, which is None where alpha is blended."""
@@ -98,25 +101,10 @@ def materialx(name: str, wrap: str, roles: set[str], alpha: Alpha | None = None)
         ("float", "roughness", "specular_roughness"), ("float", "metallic", "metalness"),
     ]  # fmt: skip
     if alpha is not None:
-        nodes += image("baseColor", "color4", "baseColorAndAlpha")
-        nodes += _node("extract", "alpha", "float", [("in", "color4", "baseColorAndAlpha"), ("index", "integer", 3)])
-        shown = "alpha"
-        if alpha.cutoff is not None:
-            test: list[tuple[str, str, str | float]] = [("value1", "float", "alpha"), ("value2", "float", alpha.cutoff)]
-            nodes += _node("ifgreatereq", "cut", "float", [*test, ("in1", "float", 1.0), ("in2", "float", 0.0)])
-            shown = "cut"
-        nodes += _node("convert", "opacity", "color3", [("in", "float", shown)])
+        nodes += image("baseColor", "color4", "baseColorAndAlpha") + _opacity_nodes(alpha)
         outputs.append(("color3", "opacity", "opacity"))
     if "anisotropic" in roles:
-        nodes += image("anisotropic", "float") + image("direction", "vector3")
-        nodes += _node("multiply", "anisotropy", "float", [("in1", "float", "anisotropic"), ("in2", "float", 0.9)])
-        nodes += _node("multiply", "doubled", "vector3", [("in1", "vector3", "direction"), ("in2", "float", 2.0)])
-        nodes += _node("subtract", "signed", "vector3", [("in1", "vector3", "doubled"), ("in2", "float", 1.0)])
-        for axis, letter in enumerate("xy"):
-            along: list[tuple[str, str, str | float]] = [("in", "vector3", "signed"), ("index", "integer", axis)]
-            nodes += _node("extract", f"along_{letter}", "float", along)
-        nodes += _node("atan2", "angle", "float", [("iny", "float", "along_y"), ("inx", "float", "along_x")])
-        nodes += _node("multiply", "turn", "float", [("in1", "float", "angle"), ("in2", "float", 0.15915494)])
+        nodes += image("anisotropic", "float") + image("direction", "vector3") + _anisotropy_nodes()
         outputs += [("float", "anisotropy", "specular_anisotropy"), ("float", "turn", "specular_rotation")]
     declared = "".join(
         f'    <output name="{to}_out" type="{kind}" nodename="{node}" />\n' for kind, node, to in outputs
@@ -135,6 +123,29 @@ def materialx(name: str, wrap: str, roles: set[str], alpha: Alpha | None = None)
         f'    <input name="surfaceshader" type="surfaceshader" nodename="{identifier}_surface" />\n'
         "  </surfacematerial>\n</materialx>\n"
     )
+
+
+def _opacity_nodes(alpha: Alpha) -> str:
+    """Nodes from the picture baseColorAndAlpha to the colour ``opacity``."""
+    nodes = _node("extract", "alpha", "float", [("in", "color4", "baseColorAndAlpha"), ("index", "integer", 3)])
+    shown = "alpha"
+    if alpha.cutoff is not None:
+        test: list[_Input] = [("value1", "float", "alpha"), ("value2", "float", alpha.cutoff)]
+        nodes += _node("ifgreatereq", "cut", "float", [*test, ("in1", "float", 1.0), ("in2", "float", 0.0)])
+        shown = "cut"
+    return nodes + _node("convert", "opacity", "color3", [("in", "float", shown)])
+
+
+def _anisotropy_nodes() -> str:
+    """Nodes from the pictures anisotropic and direction to ``anisotropy`` and ``turn``."""
+    nodes = _node("multiply", "anisotropy", "float", [("in1", "float", "anisotropic"), ("in2", "float", 0.9)])
+    nodes += _node("multiply", "doubled", "vector3", [("in1", "vector3", "direction"), ("in2", "float", 2.0)])
+    nodes += _node("subtract", "signed", "vector3", [("in1", "vector3", "doubled"), ("in2", "float", 1.0)])
+    for axis, letter in enumerate("xy"):
+        along: list[_Input] = [("in", "vector3", "signed"), ("index", "integer", axis)]
+        nodes += _node("extract", f"along_{letter}", "float", along)
+    nodes += _node("atan2", "angle", "float", [("iny", "float", "along_y"), ("inx", "float", "along_x")])
+    return nodes + _node("multiply", "turn", "float", [("in1", "float", "angle"), ("in2", "float", 0.15915494)])
 
 
 def usda(name: str, wrap: str, roles: set[str], alpha: Alpha | None = None) -> str:
@@ -177,7 +188,7 @@ def usda(name: str, wrap: str, roles: set[str], alpha: Alpha | None = None) -> s
     )
 
 
-def _node(kind: str, name: str, of: str, inputs: Sequence[tuple[str, str, str | float]]) -> str:
+def _node(kind: str, name: str, of: str, inputs: Sequence[_Input]) -> str:
     """A MaterialX node whose inputs are other nodes (by name) or numbers."""
     lines = "".join(
         f'      <input name="{place}" type="{what}" '

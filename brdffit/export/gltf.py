@@ -70,25 +70,28 @@ def write_glb(
     ]
     place = {} if geometry is None else geometry.place
     references = {role: {"index": number, **place} for number, role in enumerate(textures)}
-    material = _material(name, references, factors)
-    if alpha:
-        # Cut-outs are mostly thin, as leaves are, and seen from both sides.
-        material |= {"alphaMode": "BLEND" if cutoff is None else "MASK", "doubleSided": True}
-        material |= {} if cutoff is None else {"alphaCutoff": cutoff}
+    material = _material(name, references, factors, alpha, cutoff)
     document["materials"] = [material]
     required = ["KHR_texture_basisu", *(() if geometry is None else geometry.extensions)]
     document["extensionsRequired"] = sorted(required)
     document["extensionsUsed"] = sorted([*required, *material.get("extensions", {})])
     document["buffers"] = [{"byteLength": len(binary.data)}]
+    _write_chunks(file, document, binary.data)
+
+
+def _write_chunks(file: BinaryIO, document: Mapping[str, Any], binary: bytes | bytearray) -> None:
+    """The container of glTF 2.0: a header, the document as JSON, its buffer; each chunk a multiple of 4 bytes long."""
     text = json.dumps(document, separators=(",", ":"), sort_keys=True).encode()
     text += b" " * (-len(text) % 4)
-    file.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary.data)))
+    file.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary)))
     file.write(struct.pack("<I4s", len(text), b"JSON") + text)
-    file.write(struct.pack("<I4s", len(binary.data), b"BIN\0"))
-    file.write(binary.data)
+    file.write(struct.pack("<I4s", len(binary), b"BIN\0"))
+    file.write(binary)
 
 
-def _material(name: str, references: Mapping[str, dict[str, Any]], factors: Factors) -> dict[str, Any]:
+def _material(
+    name: str, references: Mapping[str, dict[str, Any]], factors: Factors, alpha: str, cutoff: float | None
+) -> dict[str, Any]:
     """A material of some references to textures, by role."""
     packed = references["occlusionRoughnessMetallic"]
     material: dict[str, Any] = {
@@ -113,6 +116,10 @@ def _material(name: str, references: Mapping[str, dict[str, Any]], factors: Fact
             "specularColorFactor": [factors.specular] * 3,
             "specularColorTexture": references["specularColor"],
         }
+    if alpha:
+        # Cut-outs are mostly thin, as leaves are, and seen from both sides.
+        material |= {"alphaMode": "BLEND" if cutoff is None else "MASK", "doubleSided": True}
+        material |= {} if cutoff is None else {"alphaCutoff": cutoff}
     return material | ({"extensions": extensions} if extensions else {})
 
 

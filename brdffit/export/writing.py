@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from brdffit.export.geometry import Geometry, geometry_of
 from brdffit.export.manifest import FILE_NAME, foreign_file, stable_digest, to_json
 from brdffit.export.pictures import Count, bands, check_preset, write_pictures
-from brdffit.export.presets import get_preset
+from brdffit.export.presets import Preset, get_preset
 from brdffit.files import atomic
 from brdffit.files.image_io import file_sha256, write_mip_exr, write_png
 from brdffit.footprint import filter_channels, get_pixel_filter
@@ -91,31 +91,10 @@ def write_baked(
     chosen = get_preset(preset)
     check_preset(chosen, bits, baked.sizes[0])
     with atomic.replacing(folder, foreign_file) as fresh:
-        pictures: dict[str, Any] = {"pictures": {}}
-        images = baked.images()
-        count = Count(told, len(images))
-        with ThreadPoolExecutor(_FILES_AT_ONCE) as pool:
-            written = [pool.submit(_write_exr_file, image, fresh, baked.wrap, count) for image in images]
-            try:
-                if baked.lobes is not None:
-                    geometry = _geometry(baked) if chosen.container == "glb" else None
-                    pictures = write_pictures(baked.lobes, fresh, name, chosen, bits, compress, geometry, count)
-                for each in written:
-                    each.result()
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
+        pictures = _write_files(baked, fresh, name, chosen, bits, compress, told)
         record = {**(manifest() if callable(manifest) else manifest), **pictures}
         record["filled_levels"] = list(range(len(baked.sizes), len(level_sizes(baked.sizes[0]))))
-        record["preset"] = {
-            "name": chosen.name,
-            "normal_y": chosen.normal_y,
-            "roughness": chosen.roughness,
-            "bits": bits,
-            "compress": compress,
-            "note": chosen.note,
-            "reflection_probe": probe_of_materials(chosen.name),
-        }
+        record["preset"] = _told_of(chosen, bits, compress)
         if preview is not None:
             write_png(fresh / "preview.png", preview() if callable(preview) else preview)
         paths = sorted(path for path in fresh.rglob("*") if path.is_file())
@@ -126,6 +105,40 @@ def write_baked(
         record["stable_digest"] = stable_digest(record)
         (fresh / FILE_NAME).write_text(to_json(record), encoding="utf-8")
     return record
+
+
+def _write_files(
+    baked: Baked, fresh: Path, name: str, preset: Preset, bits: int, compress: str, told: Callable[[str], None] | None
+) -> dict[str, Any]:
+    """Write the EXR files and, beside them, the pictures; entries of the manifest that tell of the pictures."""
+    images = baked.images()
+    count = Count(told, len(images))
+    pictures: dict[str, Any] = {"pictures": {}}
+    with ThreadPoolExecutor(_FILES_AT_ONCE) as pool:
+        written = [pool.submit(_write_exr_file, image, fresh, baked.wrap, count) for image in images]
+        try:
+            if baked.lobes is not None:
+                geometry = _geometry(baked) if preset.container == "glb" else None
+                pictures = write_pictures(baked.lobes, fresh, name, preset, bits, compress, geometry, count)
+            for each in written:
+                each.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return pictures
+
+
+def _told_of(preset: Preset, bits: int, compress: str) -> dict[str, Any]:
+    """The manifest's entry of the preset."""
+    return {
+        "name": preset.name,
+        "normal_y": preset.normal_y,
+        "roughness": preset.roughness,
+        "bits": bits,
+        "compress": compress,
+        "note": preset.note,
+        "reflection_probe": probe_of_materials(preset.name),
+    }
 
 
 def _geometry(baked: Baked) -> Geometry | None:
