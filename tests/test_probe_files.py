@@ -7,11 +7,8 @@ import sys
 import numpy as np
 import OpenImageIO as oiio
 import pytest
-from click.testing import CliRunner
-from probes_support import lamps, relative_l1
-from test_probe_cubemap import latlong, write_exr
+from probes_support import lamps, latlong, probe, relative_l1, write_exr
 
-from brdffit.cli import main
 from brdffit.errors import InputError
 from brdffit.probes import cli
 from brdffit.probes.bake import ProbeOptions, bake_probe, make_probe
@@ -145,26 +142,9 @@ def environment(tmp_path_factory):
     return path
 
 
-def run(*arguments):
-    return CliRunner().invoke(main, [str(each) for each in arguments])
-
-
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_preset_writes_what_it_promises(environment, tmp_path, preset):
-    result = run(
-        "probe",
-        environment,
-        "-o",
-        tmp_path,
-        "--for",
-        preset,
-        "--size",
-        32,
-        "--levels",
-        5,
-        "--no-picture",
-        "--centre=-z",
-    )
+    result = probe(f"{environment} -o {tmp_path} --for {preset} --size 32 --levels 5 --no-picture --centre=-z")
     assert result.exit_code == 0, result.output
     folder = tmp_path / "room"
     manifest = json.loads((folder / "manifest.json").read_text())
@@ -183,20 +163,7 @@ def test_every_preset_writes_what_it_promises(environment, tmp_path, preset):
 
 def test_harmonics_in_a_file_are_those_of_its_cube(environment, tmp_path):
     for preset in ("filament", "bevy", "plain"):
-        run(
-            "probe",
-            environment,
-            "-o",
-            tmp_path,
-            "--for",
-            preset,
-            "--size",
-            32,
-            "--levels",
-            5,
-            "--no-picture",
-            "--force",
-        )
+        probe(f"{environment} -o {tmp_path} --for {preset} --size 32 --levels 5 --no-picture --force")
         folder = tmp_path / "room"
         suffix = ".ktx" if preset == "filament" else ".ktx2"
         cube = read_cube_file(folder / f"irradiance{suffix}").levels[0]
@@ -205,28 +172,28 @@ def test_harmonics_in_a_file_are_those_of_its_cube(environment, tmp_path):
 
 
 def test_a_bake_draws_states_and_is_not_made_twice(environment, tmp_path):
-    command = ("probe", environment, "-o", tmp_path, "--size", 32, "--levels", 4, "--tolerance", 0.005)
-    first = run(*command)
+    command = f"{environment} -o {tmp_path} --size 32 --levels 4 --tolerance 0.005"
+    first = probe(command)
     assert first.exit_code == 0 and "error" in first.output
     assert (tmp_path / "room" / "picture.png").stat().st_size > 10_000
-    assert "up to date" in run(*command).output
-    assert "up to date" not in run(*command, "--rotate", 90).output
-    described = run("probe", "inspect", tmp_path / "room").output
+    assert "up to date" in probe(command).output
+    assert "up to date" not in probe(f"{command} --rotate 90").output
+    described = probe(f"inspect {tmp_path}/room").output
     assert "A probe of" in described and "level 3" in described
-    assert "rgb9e5, 4 levels" in run("probe", "inspect", tmp_path / "room" / "specular.ktx2").output
-    assert "latlong, 128x64" in run("probe", "inspect", environment).output
+    assert "rgb9e5, 4 levels" in probe(f"inspect {tmp_path}/room/specular.ktx2").output
+    assert "latlong, 128x64" in probe(f"inspect {environment}").output
 
 
 def test_only_what_is_copied_is_called_so(environment, tmp_path):
     """Brute force has no error either, and a copy has one where its texels were clamped."""
-    command = ("probe", environment, "-o", tmp_path, "--size", 32, "--levels", 4, "--method", "brute", "--no-picture")
-    lines = [line for line in run(*command).output.splitlines() if line.startswith("  level ")]
+    command = f"{environment} -o {tmp_path} --size 32 --levels 4 --method brute --no-picture"
+    lines = [line for line in probe(command).output.splitlines() if line.startswith("  level ")]
     assert ["copied" in line for line in lines] == [True, False, False, False]
     assert "error" not in lines[0] and "error 0.00%" in lines[1]
     picture = latlong(64)
     picture[20, 40] = 3e6
     write_exr(tmp_path / "sun.exr", picture)
-    clamped = run("probe", tmp_path / "sun.exr", "-o", tmp_path, "--size", 32, "--levels", 4, "--no-picture").output
+    clamped = probe(f"{tmp_path}/sun.exr -o {tmp_path} --size 32 --levels 4 --no-picture").output
     assert "copied, error" in next(line for line in clamped.splitlines() if line.startswith("  level 0"))
 
 
@@ -236,7 +203,7 @@ def test_one_damaged_environment_of_many_is_named(environment, tmp_path):
     for name in ("a", "b"):
         (many / f"{name}.exr").write_bytes(environment.read_bytes())
     (many / "broken.exr").write_bytes(environment.read_bytes()[:3000])
-    result = run("probe", many, "-o", tmp_path / "out", "--size", 16, "--levels", 3, "--no-picture")
+    result = probe(f"{many} -o {tmp_path}/out --size 16 --levels 3 --no-picture")
     assert result.exit_code == 1
     assert "2 of 3 environments done" in result.output and "broken.exr" in result.output
     assert {each.name for each in (tmp_path / "out").iterdir()} == {"a", "b"}
@@ -268,16 +235,16 @@ def test_the_figures_of_a_level_are_those_of_its_texels_as_they_are_stored(tmp_p
     picture[20, 40] = 3e6
     write_exr(tmp_path / "sun.exr", picture)
     options = ProbeOptions(**{"size": 32, "levels": 4, "picture": False, **changes})
-    probe, manifest = bake_probe(tmp_path / "sun.exr", tmp_path / "out", options)
-    for level, told in zip(probe.levels, manifest["levels"], strict=True):
+    made, manifest = bake_probe(tmp_path / "sun.exr", tmp_path / "out", options)
+    for level, told in zip(made.levels, manifest["levels"], strict=True):
         request = level.request
         if request.alpha == 0.0:
-            assert request.n == probe.source.shape[1]
-            error = relative_l1(level.radiance, probe.source)
+            assert request.n == made.source.shape[1]
+            error = relative_l1(level.radiance, made.source)
         else:
-            error, bias = Exact(packed_source(probe.source), request).error_and_bias(level.radiance)
+            error, bias = Exact(packed_source(made.source), request).error_and_bias(level.radiance)
             assert told["bias"] == pytest.approx(bias, abs=2e-6)
-        energy = mean_radiance(level.radiance).sum() / mean_radiance(probe.source).sum()
+        energy = mean_radiance(level.radiance).sum() / mean_radiance(made.source).sum()
         assert told["error"] == pytest.approx(error, abs=2e-6)
         assert told["energy"] == pytest.approx(energy, abs=2e-6)
     assert all(manifest["levels"][k]["error"] > 0.02 for k in changed)
@@ -317,8 +284,8 @@ def test_other_methods_state_their_error(environment, method, bound):
     options = ProbeOptions("activision", method=method, split=10.0, keep_narrow=True, table="ggx-const-8")
     if method == "brute":
         options = ProbeOptions("plain", size=32, levels=4, method=method)
-    probe = make_probe(environment, options)
-    errors = [level.error for level in probe.levels[1:]]
+    made = make_probe(environment, options)
+    errors = [level.error for level in made.levels[1:]]
     assert max(errors) < bound
 
 

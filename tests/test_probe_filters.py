@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from probes_support import exact_level, lamps, relative_l1
 from scipy.integrate import quad
+from scipy.special import sph_harm_y
 from test_probe_cubemap import SYMMETRIES
 
 from brdffit.errors import InputError
 from brdffit.probes.cubemap import directions, halved, mean_radiance, resized, solid_angles
 from brdffit.probes.curves import CURVES, get_curve
 from brdffit.probes.direct import add_bright, filtered_exactly, packed_source, split_bright
+from brdffit.probes.downsampling import ColourPyramid
 from brdffit.probes.filtering import ENERGY, FilterOptions, LevelRequest, filter_levels, level_requests, with_energy
 from brdffit.probes.harmonics import (
-    analysed_latlong,
     evaluated,
     filtered_by_harmonics,
     irradiance_nine,
@@ -85,6 +86,23 @@ def test_nine_numbers_are_order_three():
     normals = directions(8).reshape(-1, 3)
     nine = nine_basis(normals) @ irradiance_nine(cube)
     np.testing.assert_allclose(nine, filtered_by_harmonics(cube, normals, 1.0, 3), atol=2e-5 * nine.max())
+
+
+def analysed_latlong(picture, order):
+    """``harmonics.analysed`` of a lat-long picture (H, W, 3) of constant pixels, its middle column along -Z."""
+    height, width = picture.shape[:2]
+    edge = np.linspace(0.0, np.pi, height + 1)
+    area = (np.cos(edge[:-1]) - np.cos(edge[1:])) * 2.0 * np.pi / width
+    polar = 0.5 * (edge[:-1] + edge[1:])
+    azimuth = (np.arange(width) + 0.5) / width * 2.0 * np.pi - np.pi
+    out = np.zeros((order, order, 3), complex)
+    for m in range(order):
+        # The mean of exp(-i m azimuth) over a pixel is its value at the centre times sinc.
+        turned = np.exp(-1j * m * azimuth) * np.sinc(m / width)
+        rows = np.einsum("w,hwc->hc", turned, picture) * area[:, None]
+        for degree in range(m, order):
+            out[degree, m] = sph_harm_y(degree, m, polar, 0.0).real @ rows
+    return out
 
 
 @pytest.mark.slow
@@ -248,7 +266,8 @@ def test_importance_sampling_errs_as_table_1_prints(count, printed):
 def test_importance_sampling_comes_to_the_exact_levels():
     cube = lamps(32, bright=3.0)
     exact = exact_level(cube, 8, 0.4)
-    few, many = (filtered_by_importance(cube, [(8, 0.4)], count)[0] for count in (16, 1024))
+    means = ColourPyramid.of(cube, box=True)
+    few, many = (filtered_by_importance(means, 8, 0.4, count) for count in (16, 1024))
     assert relative_l1(many, exact) < 0.01
     assert relative_l1(many, exact) < 0.3 * relative_l1(few, exact)
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from probes_support import lamps
+from probes_support import lamps, latlong, write_exr
 
 from brdffit.probes.compare import compare_to_folder
 from brdffit.probes.cubemap import directions, look_up_trilinear
@@ -48,8 +48,6 @@ def test_fitted_levels_are_read_better_by_a_fifth():
 
 @pytest.mark.slow
 def test_the_page_compares_everything(tmp_path):
-    from test_probe_cubemap import latlong, write_exr
-
     picture = latlong(64)
     # Bright enough that the lamp is what a table errs by.
     picture[20, 40] = 20000.0

@@ -4,25 +4,19 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from container_support import node
-from probes_support import relative_l1
-from test_probe_cubemap import write_exr
+from probes_support import probe, relative_l1, write_exr
 
-from brdffit.cli import main
 from brdffit.probes import compare
 from brdffit.probes.bake import ProbeOptions, make_probe
 from brdffit.probes.cmgen import beside_cmgen, installed
 from brdffit.probes.containers import read_cube_file
 from brdffit.probes.cubemap import directions, look_up
 from brdffit.probes.harmonics import NINE_CONSTANTS, irradiance_nine, nine_basis
-from brdffit.probes.letters import lettered_cube, lettered_latlong
+from brdffit.probes.letters import lettered_cube
 from brdffit.probes.presets import PRESETS
 from brdffit.probes.reading import as_cube, read_surroundings
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(each) for each in arguments])
+from brdffit.probes.writing import latlong_of
 
 
 def test_no_face_with_letters_is_another_turned_or_mirrored():
@@ -36,7 +30,7 @@ def test_no_face_with_letters_is_another_turned_or_mirrored():
 
 
 def test_letters_come_back_from_a_lat_long_picture(tmp_path):
-    write_exr(tmp_path / "letters.exr", lettered_latlong(256))
+    write_exr(tmp_path / "letters.exr", latlong_of(lettered_cube(), 256))
     cube = as_cube(read_surroundings(tmp_path / "letters.exr"), 64)
     assert relative_l1(cube, lettered_cube(64)) < 0.1
 
@@ -44,7 +38,7 @@ def test_letters_come_back_from_a_lat_long_picture(tmp_path):
 @pytest.mark.parametrize("preset", [name for name, each in PRESETS.items() if each.container in ("ktx1", "ktx2")])
 def test_an_engine_finds_the_letters_where_they_are(tmp_path, preset):
     """Looked up as the engine turns its directions, the stored faces are those of the world."""
-    assert run("probe", "letters", "-o", tmp_path, "--for", preset, "--size", 64, "--levels", 3).exit_code == 0
+    assert probe(f"letters -o {tmp_path} --for {preset} --size 64 --levels 3").exit_code == 0
     folder = tmp_path / "letters"
     assert (folder / "faces.png").stat().st_size > 5000
     stored = read_cube_file(folder / json.loads((folder / "manifest.json").read_text())["specular"]).levels[0]
@@ -61,16 +55,16 @@ def test_the_centre_of_a_lat_long_picture_is_stated_and_may_be_overridden(tmp_pa
     write_exr(tmp_path / "mark.exr", picture)
     cases = (("plain", None, (0, 0, -1)), ("filament", None, (0, 0, 1)), ("plain", "+x", (1, 0, 0)))
     for preset, centre, wanted in cases:
-        probe = make_probe(tmp_path / "mark.exr", ProbeOptions(preset, size=16, levels=3, centre=centre))
-        brightest = probe.source.sum(axis=-1).reshape(-1).argmax()
-        assert directions(probe.source.shape[1]).reshape(-1, 3)[brightest] @ np.array(wanted) > 0.99
-        assert probe.preset.centre == (centre or PRESETS[preset].centre)
+        made = make_probe(tmp_path / "mark.exr", ProbeOptions(preset, size=16, levels=3, centre=centre))
+        brightest = made.source.sum(axis=-1).reshape(-1).argmax()
+        assert directions(made.source.shape[1]).reshape(-1, 3)[brightest] @ np.array(wanted) > 0.99
+        assert made.preset.centre == (centre or PRESETS[preset].centre)
 
 
 def test_inspect_draws_the_faces_of_files_and_folders(tmp_path):
-    run("probe", "letters", "-o", tmp_path, "--size", 32, "--levels", 3, "--no-picture")
+    probe(f"letters -o {tmp_path} --size 32 --levels 3 --no-picture")
     for source in (tmp_path / "letters", tmp_path / "letters" / "specular.ktx2"):
-        result = run("probe", "inspect", source, "-o", tmp_path / "faces.png")
+        result = probe(f"inspect {source} -o {tmp_path}/faces.png")
         assert result.exit_code == 0 and "faces.png" in result.output
         assert (tmp_path / "faces.png").stat().st_size > 5000
         (tmp_path / "faces.png").unlink()
@@ -78,7 +72,7 @@ def test_inspect_draws_the_faces_of_files_and_folders(tmp_path):
 
 def test_filaments_file_holds_harmonics_with_their_constants(tmp_path):
     """Its shader sums sh[0] + sh[1] y + sh[2] z + ... + sh[8] (x^2 - y^2)."""
-    run("probe", "letters", "-o", tmp_path, "--for", "filament", "--size", 32, "--levels", 3, "--no-picture")
+    probe(f"letters -o {tmp_path} --for filament --size 32 --levels 3 --no-picture")
     text = read_cube_file(tmp_path / "letters" / "specular.ktx").metadata["sh"]
     stored = np.array(text.split(), float).reshape(9, 3)
     at = directions(4).reshape(-1, 3)
@@ -89,9 +83,8 @@ def test_filaments_file_holds_harmonics_with_their_constants(tmp_path):
 
 def test_other_readers_find_six_faces_and_all_levels(tmp_path):
     """KTX2 by ktx-parse, BC6H in DDS by three.js's DDSLoader."""
-    asked = ("--size", 64, "--levels", 5, "--no-picture")
-    run("probe", "letters", "-o", tmp_path / "plain", *asked)
-    run("probe", "letters", "-o", tmp_path / "three", "--for", "three", *asked)
+    for preset in ("plain", "three"):
+        probe(f"letters -o {tmp_path}/{preset} --for {preset} --size 64 --levels 5 --no-picture")
     files = [tmp_path / "plain" / "letters" / "specular.ktx2", tmp_path / "three" / "letters" / "specular.dds"]
     result = node("cubes.mjs", *files)
     assert result.returncode == 0, result.stderr
@@ -106,7 +99,7 @@ def test_other_readers_find_six_faces_and_all_levels(tmp_path):
 def test_cmgen_agrees_about_the_world_and_errs_more(tmp_path):
     if not installed():
         pytest.skip("cmgen is not installed (Debian: libfilament-tools)")
-    picture = lettered_latlong(256)
+    picture = latlong_of(lettered_cube(), 256)
     write_exr(tmp_path / "room.exr", picture)
     # Turned otherwise, cmgen's levels would be nothing like ours.
     assert beside_cmgen(tmp_path / "room.exr", 0.005, 1, 64)["cmgen"]["errors"][0] < 0.1

@@ -8,6 +8,7 @@ from probes_support import exact_level, lamps, relative_l1
 
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.probes.curves import get_curve
+from brdffit.probes.downsampling import ColourPyramid
 from brdffit.probes.kernels.tables import TAP_FIELDS, TAP_LEVEL, TAP_WEIGHT, place_taps
 from brdffit.probes.table_files import load_table, make_table, shipped_tables
 from brdffit.probes.table_fit import TableRequest, held_out_goal, importance_start
@@ -81,10 +82,9 @@ def test_a_tap_at_the_texel_is_an_identity():
     assert taps[0, TAP_LEVEL] == 0.0 and taps[0, TAP_WEIGHT] == 1.0
     table[3] = -5.0  # the offset of the Jacobian is clamped away
     cube = lamps(128)
-    np.testing.assert_allclose(filtered_by_table(cube, [table])[0], cube, rtol=1e-5, atol=1e-5)
-    constant = filtered_by_table(np.full((6, 128, 128, 3), 0.3), [None, some_table(3)])
-    assert constant[0] is None
-    np.testing.assert_allclose(constant[1], 0.3, rtol=1e-6)
+    np.testing.assert_allclose(filtered_by_table(ColourPyramid.of(cube), 128, table), cube, rtol=1e-5, atol=1e-5)
+    constant = ColourPyramid.of(np.full((6, 128, 128, 3), 0.3))
+    np.testing.assert_allclose(filtered_by_table(constant, 64, some_table(3)), 0.3, rtol=1e-6)
 
 
 def test_the_preimage_is_what_filtering_does():
@@ -101,7 +101,7 @@ def test_the_preimage_is_what_filtering_does():
     against = Goal(texels[::5], np.ones(len(texels[::5])), np.repeat(lamp.reshape(1, -1), len(texels[::5]), axis=0))
     # |C - 1000| on the lamp and C elsewhere: the share of the lamp is what is missing from 8000 + 1.
     share = (8000.0 + 1.0 - against.errors(table)) / 2.0
-    filtered = filtered_by_table(cube, [None] * 4 + [table])[4][..., 0].ravel()[::5]
+    filtered = filtered_by_table(ColourPyramid.of(cube), 8, table)[..., 0].ravel()[::5]
     np.testing.assert_allclose(filtered, share, atol=1e-6)
 
 
@@ -115,17 +115,17 @@ def test_importance_sampled_starts_lie_on_the_sphere_above_the_horizon():
 @pytest.mark.parametrize("name", shipped_tables())
 def test_shipped_tables_err_as_they_say(name):
     table = load_table(name)
-    for level, error in table.errors.items():
-        alpha = 1.0 if table.curve == "irradiance" else ALPHAS[level]
-        assert held_out_goal(table.sizes[level], alpha).error(table.levels[level]) == pytest.approx(error, abs=2e-4)
+    for number, level in table.levels.items():
+        alpha = 1.0 if table.curve == "irradiance" else ALPHAS[number]
+        assert held_out_goal(level.size, alpha).error(level.table) == pytest.approx(level.error, abs=2e-4)
 
 
 def test_a_shipped_table_filters_a_real_picture():
     table = load_table("ggx-const-8")
     cube = lamps(128, bright=5.0)
-    for level, filtered in enumerate(filtered_by_table(cube, table.levels)):
-        if filtered is not None and level > 2:
-            assert relative_l1(filtered, exact_level(cube, 128 >> level, ALPHAS[level])) < 0.05
+    for level in (3, 4, 5, 6):
+        filtered = filtered_by_table(ColourPyramid.of(cube), 128 >> level, table.tables[level])
+        assert relative_l1(filtered, exact_level(cube, 128 >> level, ALPHAS[level])) < 0.05
 
 
 @pytest.mark.slow
@@ -134,12 +134,12 @@ def test_a_table_is_made_gone_on_with_and_the_same_again(tmp_path):
     request = TableRequest(2, "const", starts=2, texels=4)
     told = []
     made = make_table(tmp_path / "a.json", request, "activision", "test", listener=told.append)
-    assert set(made.errors) == {1, 2, 3, 4, 5, 6} and all(0.05 < error < 1.0 for error in made.errors.values())
+    assert made.is_whole and all(0.05 < level.error < 1.0 for level in made.levels.values())
     record = json.loads((tmp_path / "a.json").read_text())
     kept = [each for each in record["levels"] if each["level"] != 6]
     (tmp_path / "b.json").write_text(json.dumps({**record, "levels": kept}))
     again = make_table(tmp_path / "b.json", request, "activision", "test")
-    np.testing.assert_array_equal(again.levels[6], made.levels[6])
+    np.testing.assert_array_equal(again.tables[6], made.tables[6])
     with pytest.raises(InputError, match="asked for otherwise"):
         make_table(tmp_path / "b.json", TableRequest(2, "const", starts=3, texels=4), "activision", "test")
 

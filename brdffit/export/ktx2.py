@@ -8,6 +8,7 @@ same levels give the same bytes.
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from math import lcm
 from typing import BinaryIO
 
@@ -41,7 +42,9 @@ def write_ktx2(
         OSError: when the file cannot be written.
     """
     sizes = chain(size, count)
-    descriptor, pairs = _descriptor(pixels), _key_values()
+    descriptor = _descriptor(pixels)
+    # Rows run down the picture.
+    pairs = key_values({"KTXorientation": "rd", "KTXwriter": "brdffit"})
     at_descriptor = _HEADER_BYTES + _INDEX_BYTES * len(sizes)
     at_pairs = at_descriptor + len(descriptor)
     start = file.tell()
@@ -93,10 +96,10 @@ def _descriptor(pixels: PixelFormat) -> bytes:
     return struct.pack("<I", 4 + len(block)) + block
 
 
-def _key_values() -> bytes:
-    """Keys and values, sorted, each padded to four bytes: rows run down the picture, and who wrote it."""
+def key_values(values: Mapping[str, str]) -> bytes:
+    """Keys and values as KTX2 and KTX1 hold them: sorted, each padded to four bytes."""
     pairs = b""
-    for key, value in (("KTXorientation", "rd"), ("KTXwriter", "brdffit")):
+    for key, value in sorted(values.items()):
         entry = key.encode() + b"\0" + value.encode() + b"\0"
         pairs += struct.pack("<I", len(entry)) + entry + bytes(-len(entry) % 4)
     return pairs

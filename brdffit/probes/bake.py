@@ -181,7 +181,7 @@ def _filtered(
     source: NDArray, preset: ProbePreset, curve: Curve, options: ProbeOptions, threads: int, notes: list[str]
 ) -> tuple[list[FilteredLevel], FilteredLevel]:
     """All levels of a cube and its irradiance; adds sentences for the user to ``notes``."""
-    tables = _tables(options, curve) if options.method == "table" else ()
+    tables = _tables(options, curve) if options.method == "table" else {}
     filtering = FilterOptions(
         options.method, options.tolerance, options.split, options.samples, options.order, tables, threads
     )
@@ -233,13 +233,13 @@ def _preset(options: ProbeOptions) -> ProbePreset:
     return replace(preset, size=size, levels=levels, texel_format=texel_format, centre=centre)
 
 
-def _tables(options: ProbeOptions, curve: Curve) -> tuple:
+def _tables(options: ProbeOptions, curve: Curve) -> dict[int, NDArray]:
     from brdffit.probes.table_files import load_table
 
     table = load_table(options.table)
     if table.curve != curve.name:
         raise InputError(f"The table '{table.name}' is for the curve {table.curve}, found {curve.name}.")
-    return tuple(table.levels)
+    return table.tables
 
 
 def _within_format(

@@ -142,7 +142,7 @@ def table(
     command = f"brdffit probe table --taps {taps} --terms {terms} --curve {curve} --starts {starts}"
     command += "".join(f" --begin-with {Path(each).stem}" for each in begin_with) + " --paper" * paper
     made = make_table(output, request, curve, command, [load_table(each) for each in begin_with], click.echo)
-    mean = sum(made.errors.values()) / len(made.errors)
+    mean = sum(level.error for level in made.levels.values()) / len(made.levels)
     picture = output.with_suffix(".png")
     draw_histories([made], picture)
-    click.echo(f"{output}: mean error {mean:.4f} over {len(made.errors)} levels. How the searches went: {picture}")
+    click.echo(f"{output}: mean error {mean:.4f} over {len(made.levels)} levels. How the searches went: {picture}")

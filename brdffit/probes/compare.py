@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,10 +18,9 @@ from brdffit.errors import InputError
 from brdffit.files.atomic import first_other, replacing
 from brdffit.probes.cmgen import beside_cmgen, installed
 from brdffit.probes.compare_page import page
-from brdffit.probes.cubemap import directions
 from brdffit.probes.curves import get_curve
-from brdffit.probes.direct import filtered_exactly, packed_source
-from brdffit.probes.filtering import FilterOptions, LevelRequest, filter_levels, level_requests, sampled_texels
+from brdffit.probes.direct import packed_source
+from brdffit.probes.filtering import Exact, FilterOptions, LevelRequest, filter_levels, level_requests
 from brdffit.probes.harmonics import truncation_error
 from brdffit.probes.importance import preimage_errors
 from brdffit.probes.lookup import fitted_to_lookup, lookup_errors
@@ -56,33 +57,26 @@ def compare_to_folder(
     with replacing(output, _foreign) as folder:
         records: dict[str, Any] = {"brdffit": version("brdffit"), "environments": list(cubes), "quick": quick}
         records["preimages"] = preimage_tables(24 if quick else 96, tell)
-        records["methods"] = []
+        records |= {"methods": [], "seams": [], "lookup": []}
         for name, cube in cubes.items():
             tell(f"{name}: methods")
             records["methods"] += measure_methods(name, cube, threads, 64 if quick else 256)
-        records["seams"] = []
-        for name, cube in cubes.items():
             tell(f"{name}: seams")
             records["seams"].append(measure_seams(name, cube, threads, 3 if quick else 8))
-        records["lookup"] = []
-        for name, cube in cubes.items():
             tell(f"{name}: look-ups")
             records["lookup"] += measure_lookups(name, cube, threads, 300 if quick else 1500)
+            draw_levels(cube, folder / f"levels-{name}.png", threads)
         records["cmgen"] = _beside_cmgen(paths, threads, 64 if quick else 256, tell)
         records["split_sum"] = split_errors(list(cubes.values()), 200 if quick else 1000, threads)
         draw_front(records["methods"], folder / "front.png")
         draw_point_responses(folder / "points.png")
         draw_histories([load_table(name) for name in shipped_tables()], folder / "searches.png")
-        for name, cube in cubes.items():
-            draw_levels(cube, folder / f"levels-{name}.png", threads)
         (folder / "records.json").write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
         (folder / "index.html").write_text(page(records), encoding="utf-8")
     return output / "index.html"
 
 
-def _beside_cmgen(
-    paths: Sequence[Path], threads: int, count: int, tell: Callable[[str], None]
-) -> list[dict[str, Any]]:  # fmt: skip
+def _beside_cmgen(paths: Sequence[Path], threads: int, count: int, tell: Callable[[str], None]) -> list[dict[str, Any]]:
     """Records of cmgen and brdffit on each lat-long picture; none where cmgen is not installed."""
     if not installed():
         tell("cmgen is not on the PATH (Debian: libfilament-tools): no row of it.")
@@ -105,37 +99,38 @@ def _foreign(folder: Path) -> str | None:
 def preimage_tables(count: int, tell: Callable[[str], None]) -> dict[str, Any]:
     """The quantities of the paper's tables 1 to 3 for our tables: L1 of preimages on ``count`` texels of each level."""
     alphas = get_curve("activision", _LEVELS, BASE_SIZE).alphas()
-    goals = {}
-    for level in range(1, _LEVELS):
-        texels, shares = chosen_texels(BASE_SIZE >> level, "none", count, 2024)
-        goals[level] = Goal.of(texels, alphas[level], shares)
+
+    @cache
+    def goal(n: int, alpha: float) -> Goal:
+        texels, shares = chosen_texels(n, "none", count, 2024)
+        return Goal.of(texels, alpha, shares)
+
     out: dict[str, Any] = {"tables": [], "importance": [], "harmonics": [], "irradiance": []}
-    for name in shipped_tables():
-        tell(f"preimages of {name}")
-        table = load_table(name)
-        terms, taps = table.record["terms"], table.record["taps"]
-        if table.curve == "irradiance":
-            level = next(iter(table.errors))
-            texels, shares = chosen_texels(table.sizes[level], "none", count, 2024)
-            error = Goal.of(texels, 1.0, shares).error(_table(table.levels, level))
-            out["irradiance"].append({"table": name, "error": error, "paper": TABLE_3.get((terms, taps))})
+    for table in map(load_table, shipped_tables()):
+        tell(f"preimages of {table.name}")
+        is_irradiance = table.curve == "irradiance"
+        errors = {
+            number: goal(level.size, 1.0 if is_irradiance else alphas[number]).error(level.table)
+            for number, level in sorted(table.levels.items())
+        }
+        mean, key = float(np.mean(list(errors.values()))), (table.terms, table.taps)
+        if is_irradiance:
+            out["irradiance"].append({"table": table.name, "error": mean, "paper": TABLE_3.get(key)})
             continue
-        errors = {level: goals[level].error(_table(table.levels, level)) for level in table.errors}
         out["tables"].append(
             {
-                "table": name,
-                "levels": {str(level): errors[level] for level in sorted(errors)},
-                "mean": float(np.mean(list(errors.values()))) if len(errors) == 6 else None,
-                "paper": TABLE_1.get((terms, taps)),
-                "seconds": sum(each for each in table.seconds.values()),
+                "table": table.name,
+                "levels": {str(number): error for number, error in errors.items()},
+                "mean": mean if table.is_whole else None,
+                "paper": TABLE_1.get(key),
+                "seconds": sum(level.seconds for level in table.levels.values()),
             }
         )
     for samples, printed in TABLE_1_SAMPLES.items():
-        if samples > 1024:
-            continue
         tell(f"preimages of importance sampling, {samples} samples")
         levels = {
-            str(level): float(preimage_errors(goal, alphas[level], samples).mean()) for level, goal in goals.items()
+            str(level): float(preimage_errors(goal(BASE_SIZE >> level, alphas[level]), alphas[level], samples).mean())
+            for level in range(1, _LEVELS)
         }
         mean = float(np.mean(list(levels.values())))
         out["importance"].append({"samples": samples, "levels": levels, "mean": mean, "paper": printed})
@@ -144,20 +139,13 @@ def preimage_tables(count: int, tell: Callable[[str], None]) -> dict[str, Any]:
     return out
 
 
-def _table(levels: list[NDArray | None], level: int) -> NDArray:
-    table = levels[level]
-    assert table is not None
-    return table
-
-
 def _methods() -> list[tuple[str, FilterOptions]]:
     """Names and options of what is compared."""
     out = [(f"tree {tolerance:g}", FilterOptions("tree", tolerance)) for tolerance in (0.02, 0.005, 0.001)]
-    for name in shipped_tables():
-        table = load_table(name)
-        if table.curve != "irradiance" and len(table.errors) == 6:
-            out.append((name, FilterOptions("table", tables=table.levels)))
-            out.append((f"{name}, split 10", FilterOptions("table", tables=table.levels, split=10.0)))
+    for table in map(load_table, shipped_tables()):
+        if table.is_whole:
+            out.append((table.name, FilterOptions("table", tables=table.tables)))
+            out.append((f"{table.name}, split 10", FilterOptions("table", tables=table.tables, split=10.0)))
     for samples in (32, 128, 1024):
         out.append((f"importance {samples}", FilterOptions("importance", samples=samples)))
     out.append(("importance 128, split 10", FilterOptions("importance", samples=128, split=10.0)))
@@ -171,29 +159,25 @@ def measure_methods(name: str, cube: NDArray, threads: int, count: int) -> list[
     """
     curve = get_curve("activision", _LEVELS, BASE_SIZE)
     requests = level_requests(curve, BASE_SIZE, BASE_SIZE, keep_narrow=True)[1:]
-    source = packed_source(cube)
-    exact, seconds = {}, 0.0
+    source, exact, seconds = packed_source(cube), [], 0.0
     for request in requests:
-        chosen = sampled_texels(request.n, count)
         began = time.process_time()
-        exact[request.level] = filtered_exactly(
-            source, directions(request.n).reshape(-1, 3)[chosen], request.alpha, threads
-        )
-        seconds += (time.process_time() - began) * 6 * request.n**2 / len(chosen)
+        exact.append(Exact(source, request, threads, count))
+        seconds += (time.process_time() - began) * 6 * request.n**2 / len(exact[-1].radiance)
     records = [{"environment": name, "method": "brute force", "error": 0.0, "worst": 0.0, "seconds": seconds}]
     for method, options in _methods():
-        warm = [LevelRequest(6, 2, 1.0, 1.0)]
-        filter_levels(cube, warm, _with_threads(options, threads), measure=False)
+        options = replace(options, threads=threads)
+        # The first run of a method may compile.
+        filter_levels(cube, [LevelRequest(6, 2, 1.0, 1.0)], options, measure=False)
         began = time.process_time()
-        levels = filter_levels(cube, requests, _with_threads(options, threads), measure=False)
+        levels = filter_levels(cube, requests, options, measure=False)
         spent = time.process_time() - began
         errors, worst = [], []
-        for level in levels:
-            chosen = sampled_texels(level.request.n, count)
-            found, wanted = level.radiance.reshape(-1, 3)[chosen], exact[level.request.level]
-            distance = np.abs(found - wanted).sum(axis=1)
+        for known, level in zip(exact, levels, strict=True):
+            distance = np.abs(known.found(level.radiance) - known.radiance).sum(axis=1)
+            wanted = known.radiance.sum(axis=1)
             errors.append(float(distance.sum() / wanted.sum()))
-            worst.append(float(np.percentile(distance / np.maximum(wanted.sum(axis=1), 1e-12), 99.0)))
+            worst.append(float(np.percentile(distance / np.maximum(wanted, 1e-12), 99.0)))
         records.append(
             {
                 "environment": name,
@@ -205,12 +189,6 @@ def measure_methods(name: str, cube: NDArray, threads: int, count: int) -> list[
             }
         )
     return records
-
-
-def _with_threads(options: FilterOptions, threads: int) -> FilterOptions:
-    from dataclasses import replace
-
-    return replace(options, threads=threads)
 
 
 def measure_seams(name: str, cube: NDArray, threads: int, turns: int) -> dict[str, Any]:

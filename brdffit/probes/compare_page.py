@@ -26,8 +26,8 @@ def page(records: dict[str, Any]) -> str:
         *_preimages_section(records["preimages"]),
         "<h2>One bright texel in the middle of a face, on an edge, at a corner (figure 8)</h2>",
         '<img src="points.png" alt="point responses">',
-        *_seam_section(records.get("seams", [])),
-        *_cmgen_section(records.get("cmgen", [])),
+        *_seam_section(records["seams"]),
+        *_cmgen_section(records["cmgen"]),
         "<h2>What the engine's look-up adds</h2>",
         "<p>Exact texels read trilinearly at 12 roughnesses from 0.05 to 1, in random directions. "
         "<code>--fit lookup</code> moves the texels to what reads best.</p>",
@@ -100,8 +100,6 @@ def _split_sum_section(split: dict[str, Any]) -> list[str]:
 
 
 def _seam_section(records: list[dict[str, Any]]) -> list[str]:
-    if not records:
-        return []
     levels = records[0]["levels"]
     rows = [
         [each["environment"], *(f"{value:.2f}" for value in [*each["upright"], *each["turned"]])] for each in records

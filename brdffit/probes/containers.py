@@ -1,4 +1,4 @@
-"""Cube maps with their levels in KTX2, KTX1 and DDS: a writer, packed formats, and a reader (no block compression).
+"""Cube maps with their levels in KTX2, KTX1 and DDS: a writer, packed formats, and a reader.
 
 Levels are lists of cube maps (6, n, n, 3), the largest first, faces in the order +X -X +Y -Y +Z -Z. Sources: KTX File
 Format Specification 1 and 2, the DDS documentation, EXT_texture_shared_exponent, EXT_packed_float.
@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from brdffit.errors import InputError, OutputError
 from brdffit.export.compression import encode_level
 from brdffit.export.dds import write_dds
+from brdffit.export.decompression import decode_blocks
 from brdffit.export.formats import FORMATS, PixelFormat, Sample
-from brdffit.export.ktx2 import IDENTIFIER, write_ktx2
+from brdffit.export.ktx2 import IDENTIFIER, key_values, write_ktx2
 
 #: Compression level of Zstandard.
 _ZSTD_LEVEL = 19
@@ -82,11 +83,8 @@ def _small_float(x: NDArray, bits: int) -> NDArray:
     """uint32 bit patterns of unsigned floats with 5 bits of exponent and ``bits`` of mantissa, rounded to nearest."""
     x = np.clip(np.asarray(x, np.float64), 0.0, (2.0 - 2.0**-bits) * 2.0**15)
     exponent = np.clip(np.floor(np.log2(np.maximum(x, 2.0**-14))), -14.0, 15.0)
-    mantissa = np.round(x / np.exp2(exponent - bits)).astype(np.int64)
-    over = mantissa >= 2 << bits
-    exponent, mantissa = exponent + over, np.where(over, mantissa >> 1, mantissa)
-    normal = (exponent.astype(np.int64) + 15 << bits) + mantissa - (1 << bits)
-    return np.where(mantissa < 1 << bits, mantissa, normal).astype(np.uint32)
+    # The leading one of normal numbers, and a mantissa that rounding carries over, add one to the exponent's field.
+    return (np.round(x / np.exp2(exponent - bits)) + (exponent + 14.0) * 2.0**bits).astype(np.uint32)
 
 
 def pack_r11g11b10f(radiance: NDArray) -> NDArray:
@@ -96,14 +94,9 @@ def pack_r11g11b10f(radiance: NDArray) -> NDArray:
 
 
 def unpack_r11g11b10f(packed: NDArray) -> NDArray:
-    """(..., 3) float32 of what ``pack_r11g11b10f`` gives."""
-    channels = []
-    for shift, bits in ((0, 6), (11, 6), (22, 5)):
-        field_ = (packed >> shift & (1 << bits + 5) - 1).astype(np.int64)
-        exponent, mantissa = field_ >> bits, field_ & (1 << bits) - 1
-        normal = np.exp2(exponent - 15.0) * (1.0 + mantissa / (1 << bits))
-        channels.append(np.where(exponent == 0, np.exp2(-14.0) * mantissa / (1 << bits), normal))
-    return np.stack(channels, axis=-1).astype(np.float32)
+    """(..., 3) float32 of what ``pack_r11g11b10f`` gives: halves without a sign, of shorter mantissas."""
+    halves = [(packed >> shift & (1 << bits + 5) - 1) << 10 - bits for shift, bits in ((0, 6), (11, 6), (22, 5))]
+    return np.stack(halves, axis=-1).astype(np.uint16).view(np.float16).astype(np.float32)
 
 
 def encoded(cube: NDArray, texel_format: str) -> bytes:
@@ -117,18 +110,21 @@ def encoded(cube: NDArray, texel_format: str) -> bytes:
     return b"".join(encode_level(RADIANCE_FORMATS[texel_format].pixels, face) for face in opaque)
 
 
-def decoded(data: bytes, n: int, texel_format: str) -> NDArray:
-    """(n, n, 3) float32 of ``encoded`` bytes; block-compressed ones are not read here.
+def _decoded(data: bytes, n: int, texel_format: str) -> NDArray:
+    """(6, n, n, 3) float32 of ``encoded`` bytes.
 
     Raises:
-        ValueError: when the size is wrong.
+        ValueError: when there are too few of them.
     """
-    if texel_format == "rgb9e5":
-        return unpack_rgb9e5(np.frombuffer(data, "<u4").reshape(n, n))
-    if texel_format == "r11g11b10f":
-        return unpack_r11g11b10f(np.frombuffer(data, "<u4").reshape(n, n))
-    floats = np.frombuffer(data, "<f2" if texel_format == "rgba16f" else "<f4").reshape(n, n, 4)
-    return floats[..., :3].astype(np.float32)
+    pixels = RADIANCE_FORMATS[texel_format].pixels
+    size = pixels.level_bytes((n, n))
+    if len(data) < 6 * size:
+        raise ValueError(f"a level has {len(data)} bytes, expected {6 * size}")
+    unpack = {"rgb9e5": unpack_rgb9e5, "r11g11b10f": unpack_r11g11b10f}.get(texel_format)
+    if unpack:
+        return unpack(np.frombuffer(data, "<u4", 6 * n * n).reshape(6, n, n))
+    faces = [decode_blocks(pixels, (n, n), data[face * size : (face + 1) * size]) for face in range(6)]
+    return np.stack(faces)[..., :3]
 
 
 def write_cube(
@@ -165,10 +161,7 @@ def write_cube(
 
 def _ktx1(levels: Sequence[bytes], n: int, texel_format: str, metadata: Mapping[str, str]) -> bytes:
     """Bytes of a KTX1 cube map. imageSize counts one face; rows of at least 4 bytes a texel need no padding."""
-    pairs = b""
-    for key, value in sorted(metadata.items()):
-        entry = key.encode() + b"\0" + value.encode() + b"\0"
-        pairs += struct.pack("<I", len(entry)) + entry + bytes(-len(entry) % 4)
+    pairs = key_values(metadata)
     pixels, _, opengl = RADIANCE_FORMATS[texel_format]
     if opengl is None:
         raise ValueError(f"KTX1 has no {texel_format} here")
@@ -190,7 +183,7 @@ class CubeFile:
 
 
 def read_cube_file(path: Path) -> CubeFile:
-    """Read a cube map in KTX2, KTX1 or DDS (float and packed formats; no block compression).
+    """Read a cube map in KTX2, KTX1 or DDS, in one of RADIANCE_FORMATS.
 
     Raises:
         InputError: when it cannot be read, is no cube map, is damaged, or is stored in another format.
@@ -210,25 +203,17 @@ def read_cube_file(path: Path) -> CubeFile:
 
 
 def _named(path: Path, container: str, number: int) -> str:
-    for name, form in RADIANCE_FORMATS.items():
-        pixels = form.pixels
-        numbers = {"KTX2": pixels.vulkan, "DDS": pixels.dxgi, "KTX1": form.opengl and form.opengl[2]}
-        if numbers[container] == number and pixels.edge == 1:
+    for name, (pixels, _, opengl) in RADIANCE_FORMATS.items():
+        if number == {"KTX2": pixels.vulkan, "DDS": pixels.dxgi, "KTX1": opengl and opengl[2]}[container]:
             return name
-    readable = ", ".join(name for name, form in RADIANCE_FORMATS.items() if form.pixels.edge == 1)
-    raise InputError(f"'{path}' is stored in format {number} of {container}, expected one of {readable}.")
+    raise InputError(
+        f"'{path}' is stored in format {number} of {container}, expected one of {', '.join(RADIANCE_FORMATS)}."
+    )
 
 
 def _need_cube(path: Path, faces: int, width: int, height: int) -> None:
     if faces != 6 or width != height:
         raise InputError(f"'{path}' holds {faces} faces of {width}x{height}, expected the six square faces of a cube.")
-
-
-def _faces(data: bytes, n: int, texel_format: str) -> NDArray:
-    size = n * n * RADIANCE_FORMATS[texel_format].pixels.block_bytes
-    if len(data) < 6 * size:
-        raise ValueError(f"a level has {len(data)} bytes, expected {6 * size}")
-    return np.stack([decoded(data[f * size : (f + 1) * size], n, texel_format) for f in range(6)])
 
 
 def _read_pairs(data: bytes) -> dict[str, str]:
@@ -253,7 +238,7 @@ def _read_ktx2(path: Path, data: bytes) -> CubeFile:
         at, size, _ = struct.unpack_from("<3Q", data, 80 + 24 * k)
         stored = data[at : at + size]
         plain = zstandard.ZstdDecompressor().decompress(stored) if packing == 2 else stored
-        levels.append(_faces(plain, max(width >> k, 1), texel_format))
+        levels.append(_decoded(plain, max(width >> k, 1), texel_format))
     return CubeFile(levels, texel_format, _read_pairs(data[pairs_at : pairs_at + pairs_size]))
 
 
@@ -265,7 +250,7 @@ def _read_ktx1(path: Path, data: bytes) -> CubeFile:
     at, levels = 64 + pairs_size, []
     for k in range(max(count, 1)):
         (size,) = struct.unpack_from("<I", data, at)
-        levels.append(_faces(data[at + 4 : at + 4 + 6 * size], max(width >> k, 1), texel_format))
+        levels.append(_decoded(data[at + 4 : at + 4 + 6 * size], max(width >> k, 1), texel_format))
         at += 4 + 6 * size
     return CubeFile(levels, texel_format, _read_pairs(data[64 : 64 + pairs_size]))
 
@@ -275,19 +260,19 @@ def _read_dds(path: Path, data: bytes) -> CubeFile:
     fourcc, caps2 = data[84:88], struct.unpack_from("<I", data, 112)[0]
     _need_cube(path, 6 if caps2 & 0xFE00 == 0xFE00 else 1, width, height)
     if fourcc == b"DX10":
-        texel_format, at = _named(path, "DDS", struct.unpack_from("<I", data, 128)[0]), 148
+        texel_format, start = _named(path, "DDS", struct.unpack_from("<I", data, 128)[0]), 148
     else:
         # Numbers of D3DFMT_A16B16G16R16F and A32B32G32R32F.
         old = {113: "rgba16f", 116: "rgba32f"}
         number = struct.unpack("<I", fourcc)[0]
         if number not in old:
             raise InputError(f"'{path}' is stored as {fourcc!r}, expected floats (113, 116) or a DX10 header.")
-        texel_format, at = old[number], 128
-    texel_bytes, count = RADIANCE_FORMATS[texel_format].pixels.block_bytes, max(count, 1)
-    sizes = [max(width >> k, 1) for k in range(count)]
-    levels = [np.empty((6, n, n, 3), np.float32) for n in sizes]
-    for face in range(6):
-        for n, level in zip(sizes, levels, strict=True):
-            level[face] = decoded(data[at : at + n * n * texel_bytes], n, texel_format)
-            at += n * n * texel_bytes
+        texel_format, start = old[number], 128
+    sides = [max(width >> k, 1) for k in range(max(count, 1))]
+    pixels = RADIANCE_FORMATS[texel_format].pixels
+    ends = np.cumsum([pixels.level_bytes((n, n)) for n in sides])
+    # Faces stand one after another, each with all of its levels.
+    faces = [data[start + face * ends[-1] : start + (face + 1) * ends[-1]] for face in range(6)]
+    chains = [b"".join(face[first:end] for face in faces) for first, end in zip([0, *ends], ends, strict=False)]
+    levels = [_decoded(level, n, texel_format) for level, n in zip(chains, sides, strict=True)]
     return CubeFile(levels, texel_format)

@@ -88,31 +88,20 @@ def border(n: int) -> Border:
     """The border of faces of n^2 texels."""
     m = n + 2
     row, column = np.meshgrid(np.arange(m), np.arange(m), indexing="ij")
-    outer_row, outer_column = (row == 0) | (row == m - 1), (column == 0) | (column == m - 1)
-    on_edge, on_corner = outer_row ^ outer_column, outer_row & outer_column
-    at_row, at_column = row[on_edge], column[on_edge]
-    u, v = (2.0 * (at_column - 1) + 1.0) / n - 1.0, 1.0 - (2.0 * (at_row - 1) + 1.0) / n
+    on_edge = ((row == 0) | (row == m - 1)) ^ ((column == 0) | (column == m - 1))
+    u, v = (2.0 * column[on_edge] - 1.0) / n - 1.0, 1.0 - (2.0 * row[on_edge] - 1.0) / n
     # Move the point to just beyond the edge: the coordinate along the edge then decides the neighbour's texel.
     over = 1.0 + 1e-6 / n
-    u = np.where(np.abs(u) > 1.0, np.sign(u) * over, u)
-    v = np.where(np.abs(v) > 1.0, np.sign(v) * over, v)
-    face, u, v = face_coordinates(face_points(u, v))
+    face, u, v = face_coordinates(face_points(np.clip(u, -over, over), np.clip(v, -over, over)))
     i = np.clip(((u + 1.0) * 0.5 * n).astype(int), 0, n - 1)
     j = np.clip(((1.0 - v) * 0.5 * n).astype(int), 0, n - 1)
-    start = np.arange(6)[:, None] * m * m
-    flat = (row * m + column).ravel()
-    edge = (start + flat[on_edge.ravel()]).ravel()
-    edge_source = (face * m * m + (j + 1) * m + i + 1).ravel()
-    source = dict(zip(edge.tolist(), edge_source.tolist(), strict=True))
-    corner = (start + flat[on_corner.ravel()]).ravel()
-    corner_source = []
-    for index in corner.tolist():
-        at, r, c = index // (m * m), index // m % m, index % m
-        inner_r, inner_c = min(max(r, 1), n), min(max(c, 1), n)
-        first = at * m * m
-        beside, above = source[first + inner_r * m + c], source[first + r * m + inner_c]
-        corner_source.append((first + inner_r * m + inner_c, beside, above))
-    return Border(edge, edge_source, corner, np.array(corner_source))
+    texel = np.arange(6 * m * m).reshape(6, m, m)
+    source = texel.copy()
+    source[:, on_edge] = (face * m + j + 1) * m + i + 1
+    r, c = np.array([0, 0, m - 1, m - 1]), np.array([0, m - 1, 0, m - 1])
+    inner_r, inner_c = np.clip(r, 1, n), np.clip(c, 1, n)
+    around = np.stack([source[:, inner_r, inner_c], source[:, inner_r, c], source[:, r, inner_c]], axis=-1)
+    return Border(texel[:, on_edge].ravel(), source[:, on_edge].ravel(), texel[:, r, c].ravel(), around.reshape(24, 3))
 
 
 def pad(cube: NDArray) -> NDArray:
@@ -127,14 +116,19 @@ def pad(cube: NDArray) -> NDArray:
     return padded
 
 
-def look_up(cube: NDArray, direction: NDArray) -> NDArray:
-    """Bilinear value of a cube map (6, n, n, channels) in directions (..., 3), seamless across edges."""
-    n = cube.shape[1]
-    padded = pad(cube)
+def corners(direction: NDArray, n: int) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
+    """Face, row and column of the first of four texels of padded faces of n^2, and the fractions down and right."""
     face, u, v = face_coordinates(direction)
     x, y = (u + 1.0) * 0.5 * n + 0.5, (1.0 - v) * 0.5 * n + 0.5
     i, j = np.clip(x.astype(int), 0, n), np.clip(y.astype(int), 0, n)
-    right, down = (x - i)[..., None], (y - j)[..., None]
+    return face, j, i, y - j, x - i
+
+
+def look_up(cube: NDArray, direction: NDArray) -> NDArray:
+    """Bilinear value of a cube map (6, n, n, channels) in directions (..., 3), seamless across edges."""
+    padded = pad(cube)
+    face, j, i, down, right = corners(direction, cube.shape[1])
+    right, down = right[..., None], down[..., None]
     top = padded[face, j, i] * (1.0 - right) + padded[face, j, i + 1] * right
     bottom = padded[face, j + 1, i] * (1.0 - right) + padded[face, j + 1, i + 1] * right
     return top * (1.0 - down) + bottom * down

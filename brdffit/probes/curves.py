@@ -47,33 +47,19 @@ class Curve:
         return alpha_from_perceptual(self.roughness(np.arange(self.levels, dtype=np.float64))).tolist()
 
 
-def _linear(levels: int, size: int) -> Curve:
-    last = max(levels - 1, 1)
-    return Curve("linear", levels, lambda k: k / last, lambda r: r * last, f"lod = {last} * r")
+def _parabola(name: str, a: float, formula: str) -> Callable[[int, int], Curve]:
+    """lod = last r (a - (a - 1) r): the larger a is, from 1 to 2, the more of the levels sharp lobes get."""
 
+    def curve(levels: int, size: int) -> Curve:
+        last = max(levels - 1, 1)
 
-def _quadratic(levels: int, size: int) -> Curve:
-    """Filament, Ogre, three.js: lod = last r (2 - r), which gives sharp lobes more of the levels."""
-    last = max(levels - 1, 1)
-    return Curve(
-        "quadratic",
-        levels,
-        lambda k: 1.0 - np.sqrt(np.maximum(1.0 - k / last, 0.0)),
-        lambda r: last * r * (2.0 - r),
-        f"lod = {last} * r * (2 - r)",
-    )
+        def roughness(level: NDArray) -> NDArray:
+            x = level / last
+            return 2.0 * x / (a + np.sqrt(np.maximum(a * a - 4.0 * (a - 1.0) * x, 0.0)))
 
+        return Curve(name, levels, roughness, lambda r: last * r * (a - (a - 1.0) * r), f"lod = {last} * {formula}")
 
-def _unity(levels: int, size: int) -> Curve:
-    """Unity: perceptualRoughness * (1.7 - 0.7 perceptualRoughness) over the levels."""
-    last = max(levels - 1, 1)
-    return Curve(
-        "unity",
-        levels,
-        lambda k: (1.7 - np.sqrt(np.maximum(2.89 - 2.8 * k / last, 0.0))) / 1.4,
-        lambda r: last * r * (1.7 - 0.7 * r),
-        f"lod = {last} * r * (1.7 - 0.7 * r)",
-    )
+    return curve
 
 
 def _unreal(levels: int, size: int) -> Curve:
@@ -117,11 +103,11 @@ def _activision(levels: int, size: int) -> Curve:
 
 
 CURVES: dict[str, Callable[[int, int], Curve]] = {
-    "linear": _linear,
-    "quadratic": _quadratic,
+    "linear": _parabola("linear", 1.0, "r"),
+    "quadratic": _parabola("quadratic", 2.0, "r * (2 - r)"),  # Filament, Ogre, three.js
     "activision": _activision,
     "babylon": _babylon,
-    "unity": _unity,
+    "unity": _parabola("unity", 1.7, "r * (1.7 - 0.7 * r)"),
     "unreal": _unreal,
 }
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.probes.cubemap import directions, mean_radiance, solid_angles
-from brdffit.probes.kernels.direct import add_points, weigh_all
+from brdffit.probes.kernels.direct import weigh_all
 from brdffit.probes.lobe import lobe_integral
 from brdffit.probes.parallel import over_rows
 
@@ -21,10 +21,16 @@ def packed_source(cube: NDArray) -> NDArray:
 
 def filtered_exactly(source: NDArray, normals: NDArray, alpha: float, threads: int = 1) -> NDArray:
     """(q, 3) float64 filtered radiance around unit normals (q, 3): a sum over every texel of a ``packed_source``."""
+    sums, totals = _weighed(source, normals, alpha, threads)
+    return sums / totals[:, None]
+
+
+def _weighed(source: NDArray, normals: NDArray, alpha: float, threads: int) -> tuple[NDArray, NDArray]:
+    """(q, 3) sums of K A L over a ``packed_source``, K before normalisation, and (q,) sums of K A."""
     normals = np.ascontiguousarray(normals, np.float64)
-    out = np.empty(normals.shape)
-    over_rows(lambda first, last: weigh_all(normals, alpha, source, first, last, out), len(normals), threads)
-    return out
+    sums, totals = np.empty(normals.shape), np.empty(len(normals))
+    over_rows(lambda first, last: weigh_all(normals, alpha, source, first, last, sums, totals), len(normals), threads)
+    return sums, totals
 
 
 def split_bright(cube: NDArray, cap: float) -> tuple[NDArray, NDArray]:
@@ -43,9 +49,5 @@ def split_bright(cube: NDArray, cap: float) -> tuple[NDArray, NDArray]:
 
 def add_bright(level: NDArray, points: NDArray, alpha: float, threads: int = 1) -> NDArray:
     """A filtered level (6, n, n, 3) plus the exact contribution of the ``points`` of ``split_bright``."""
-    n = level.shape[1]
-    out = level.reshape(-1, 3).astype(np.float64)
-    normals = np.ascontiguousarray(directions(n).reshape(-1, 3))
-    per = 1.0 / lobe_integral(alpha)
-    over_rows(lambda first, last: add_points(normals, alpha, per, points, first, last, out), len(normals), threads)
-    return out.reshape(level.shape).astype(level.dtype)
+    sums, _ = _weighed(points, directions(level.shape[1]).reshape(-1, 3), alpha, threads)
+    return (level + sums.reshape(level.shape) / lobe_integral(alpha)).astype(level.dtype)

@@ -7,8 +7,8 @@ source, on texels drawn from the level (all of a small one).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from brdffit.errors import InputError
 from brdffit.probes.cubemap import directions, mean_radiance, resized, solid_angles
 from brdffit.probes.curves import Curve
 from brdffit.probes.direct import add_bright, filtered_exactly, packed_source, split_bright
+from brdffit.probes.downsampling import ColourPyramid
 from brdffit.probes.harmonics import filtered_by_harmonics
 from brdffit.probes.importance import filtered_by_importance
 from brdffit.probes.lobe import is_narrow
@@ -130,11 +131,16 @@ class Exact:
         self._chosen, points = sampled_texels(request.n, count), request.points
         at, share = points_of(request.n, points)
         exact = filtered_exactly(source, at[self._chosen].reshape(-1, 3), request.alpha, threads)
-        self._radiance = (exact.reshape(-1, points**2, 3) * share[self._chosen][..., None]).sum(axis=1)
+        #: (at most count, 3) exact radiance.
+        self.radiance = (exact.reshape(-1, points**2, 3) * share[self._chosen][..., None]).sum(axis=1)
+
+    def found(self, level: NDArray) -> NDArray:
+        """These texels of a level (6, n, n, 3), in the shape of ``radiance``."""
+        return level.reshape(-1, 3)[self._chosen]
 
     def error_and_bias(self, level: NDArray) -> tuple[float, float]:
         """(error, bias) of a level (6, n, n, 3) on these texels: sum |a - b| / sum |b| and sum (a - b) / sum |b|."""
-        return _error_and_bias(level.reshape(-1, 3)[self._chosen], self._radiance)
+        return _error_and_bias(self.found(level), self.radiance)
 
 
 def with_energy(level: NDArray, energy: float) -> NDArray:
@@ -162,7 +168,7 @@ class FilterOptions:
             "tree" and "brute" ignore it: the one refines bright nodes anyway, the other is exact.
         samples: samples a texel, for "importance".
         order: number of degrees, for "sh".
-        tables: table of each level, None where there is none, for "table".
+        tables: table of each level, for "table".
         threads: workers; no result depends on their number.
     """
 
@@ -171,7 +177,7 @@ class FilterOptions:
     split: float | None = None
     samples: int = 1024
     order: int = 11
-    tables: Sequence[NDArray | None] = ()
+    tables: Mapping[int, NDArray] = field(default_factory=dict)
     threads: int = 1
 
 
@@ -232,45 +238,52 @@ def _checked(
 
 def _maker(cube: NDArray, source: NDArray, options: FilterOptions) -> _Make:
     """The method as a function from a request and a threshold to a level."""
-    method, threads = options.method, options.threads
-    if method == "tree":
+    threads = options.threads
+    if options.method == "tree":
         tree = Tree(cube)
         return lambda request, tau: resized(
             tree.level(request.n * request.points, request.alpha, tau or 0.0, threads), request.n
         )
+    if options.method == "brute":
+
+        def brute(request: LevelRequest, tau: float | None) -> NDArray:
+            at = directions(request.n * request.points)
+            return resized(
+                filtered_exactly(source, at.reshape(-1, 3), request.alpha, threads).reshape(at.shape), request.n
+            )
+
+        return brute
     rest, points = split_bright(cube, options.split) if options.split else (cube, None)
+    approximate = _approximation(rest, options)
 
-    def whole(level: NDArray, alpha: float) -> NDArray:
-        return level if points is None else add_bright(level, points, alpha, threads)
+    def make(request: LevelRequest, tau: float | None) -> NDArray:
+        level = approximate(request)
+        return level if points is None else add_bright(level, points, request.alpha, threads)
 
-    def brute(request: LevelRequest, tau: float | None) -> NDArray:
-        fine = request.n * request.points
-        normals = directions(fine).reshape(-1, 3)
-        return resized(filtered_exactly(source, normals, request.alpha, threads).reshape(6, fine, fine, 3), request.n)
+    return make
 
-    def importance(request: LevelRequest, tau: float | None) -> NDArray:
-        made = filtered_by_importance(rest, [(request.n, request.alpha)], options.samples, threads)[0]
-        return whole(made, request.alpha)
 
-    def harmonics(request: LevelRequest, tau: float | None) -> NDArray:
-        made = filtered_by_harmonics(rest, directions(request.n), request.alpha, options.order)
-        return whole(np.maximum(made, 0.0), request.alpha)
+def _approximation(cube: NDArray, options: FilterOptions) -> Callable[[LevelRequest], NDArray]:
+    """The function from a request to a level of the methods "sh", "importance" and "table"."""
+    if options.method == "sh":
+        return lambda request: np.maximum(
+            filtered_by_harmonics(cube, directions(request.n), request.alpha, options.order), 0.0
+        )
+    if options.method == "importance":
+        means = ColourPyramid.of(cube, box=True)
+        return lambda request: filtered_by_importance(means, request.n, request.alpha, options.samples, options.threads)
+    if options.method != "table":
+        raise InputError(f"There is no method '{options.method}': known are {', '.join(METHODS)}.")
+    pyramid = ColourPyramid.of(resized(cube, BASE_SIZE))
 
-    def table(request: LevelRequest, tau: float | None) -> NDArray:
-        tables: list[NDArray | None] = [None] * (request.level + 1)
-        if request.level >= len(options.tables) or options.tables[request.level] is None:
+    def by_table(request: LevelRequest) -> NDArray:
+        if request.level not in options.tables:
             raise InputError(f"The table has no level {request.level}: it filters levels 1 to 6 of a cube of 128.")
         if request.n != BASE_SIZE >> request.level:
             raise InputError(f"Tables are for a cube of {BASE_SIZE}, found a level {request.level} of {request.n}.")
-        tables[-1] = options.tables[request.level]
-        made = filtered_by_table(resized(rest, BASE_SIZE), tables, threads)[-1]
-        assert made is not None
-        return whole(made, request.alpha)
+        return filtered_by_table(pyramid, request.n, options.tables[request.level], options.threads)
 
-    makers = {"brute": brute, "importance": importance, "sh": harmonics, "table": table}
-    if method not in makers:
-        raise InputError(f"There is no method '{method}': known are {', '.join(METHODS)}.")
-    return makers[method]
+    return by_table
 
 
 def with_radiance(level: FilteredLevel, radiance: NDArray) -> FilteredLevel:

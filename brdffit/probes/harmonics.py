@@ -66,23 +66,6 @@ def analysed(cube: NDArray, order: int) -> NDArray:
     return out
 
 
-def analysed_latlong(picture: NDArray, order: int) -> NDArray:
-    """``analysed`` for a lat-long picture (H, W, 3), constant inside its pixels, its middle column along -Z."""
-    height, width = picture.shape[:2]
-    edge = np.linspace(0.0, np.pi, height + 1)
-    area = (np.cos(edge[:-1]) - np.cos(edge[1:])) * 2.0 * np.pi / width
-    polar = 0.5 * (edge[:-1] + edge[1:])
-    azimuth = (np.arange(width) + 0.5) / width * 2.0 * np.pi - np.pi
-    out = np.zeros((order, order, 3), complex)
-    for m in range(order):
-        # The mean of exp(-i m azimuth) over a pixel is its value at the centre times sinc.
-        turned = np.exp(-1j * m * azimuth) * np.sinc(m / width)
-        rows = np.einsum("w,hwc->hc", turned, picture) * area[:, None]
-        for degree in range(m, order):
-            out[degree, m] = sph_harm_y(degree, m, polar, 0.0).real @ rows
-    return out
-
-
 def evaluated(coefficients: NDArray, direction: NDArray) -> NDArray:
     """(..., 3) float64 value of coefficients (order, order, 3) in directions (..., 3); negative values may occur."""
     out = np.zeros((*direction.shape[:-1], 3))

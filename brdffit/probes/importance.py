@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.probes.kernels.importance import box_pyramid, filter_by_importance, importance_errors
+from brdffit.probes.downsampling import ColourPyramid, layout_of
+from brdffit.probes.kernels.importance import filter_by_importance, splat_samples
+from brdffit.probes.kernels.pyramid import fold_level
+from brdffit.probes.lobe import half_angles
 from brdffit.probes.parallel import over_rows
-from brdffit.probes.tables import Goal, layout_of
+from brdffit.probes.tables import BASE_SIZE, Goal, texel_directions
 
 
 def lobe_samples(count: int, alpha: float) -> NDArray:
@@ -22,8 +25,7 @@ def lobe_samples(count: int, alpha: float) -> NDArray:
     for bit in range(32):
         reversed_bits += ((k >> bit) & 1) * 0.5 ** (bit + 1)
     turn, u = 2.0 * np.pi * (k + 0.5) / count, reversed_bits
-    half = np.arctan(alpha * np.sqrt(u / (1.0 - u)))
-    density = alpha**2 / (np.pi * np.square(np.cos(half) ** 2 * (alpha**2 - 1.0) + 1.0))
+    half, density = half_angles(u, alpha)
     sine, cosine = np.sin(2.0 * half), np.cos(2.0 * half)
     samples = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine, 4.0 * np.pi / (count * density)], axis=1)
     return np.ascontiguousarray(samples[cosine > 0.0])
@@ -31,35 +33,28 @@ def lobe_samples(count: int, alpha: float) -> NDArray:
 
 def preimage_errors(goal: Goal, alpha: float, count: int) -> NDArray:
     """(T,) L1 between the preimage of ``count`` samples and the exact one, at the texels of a goal (Table 1)."""
-    layout = layout_of()
-    errors, flat = np.empty(len(goal.texels)), np.zeros(layout.offsets[-1])
-    borders = tuple(tuple(each) for each in layout.borders)
-    importance_errors(
-        lobe_samples(count, alpha), goal.texels, goal.wanted, flat, layout.offsets, layout.sizes, borders, errors
-    )
-    return errors
+    layout, samples, errors = layout_of(BASE_SIZE), lobe_samples(count, alpha), []
+    for normal, wanted in zip(texel_directions(goal.texels), goal.wanted, strict=True):
+        flat, weights = np.zeros(layout.offsets[-1]), np.zeros((6, 1, 1))
+        total = splat_samples(samples, *normal, flat, layout.offsets, layout.sizes)
+        for level in range(len(layout.sizes) - 1, -1, -1):
+            fold_level(flat, layout.offsets[level], *layout.borders[level])
+            weights = layout.interior(flat, level) + weights
+            if level:
+                weights = (0.25 * weights).repeat(2, axis=1).repeat(2, axis=2)
+        errors.append(np.abs(weights.ravel() / total - wanted).sum())
+    return np.array(errors)
 
 
 def filtered_by_importance(
-    cube: NDArray, sizes_and_alphas: list[tuple[int, float]], count: int, threads: int = 1
-) -> list[NDArray]:
-    """Levels (6, n, n, 3) float32, one for each (n, alpha), of a cube map (6, N, N, 3), N a power of two.
+    pyramid: ColourPyramid, n: int, alpha: float, count: int, threads: int = 1
+) -> NDArray:  # fmt: skip
+    """A level (6, n, n, 3) float32 by ``count`` samples a texel of a pyramid of plain means."""
+    layout, flat = pyramid
+    samples, out = lobe_samples(count, alpha), np.empty((6, n, n, 3), np.float32)
 
-    ``count`` is the number of samples a texel.
-    """
-    layout = layout_of(cube.shape[1])
-    borders = tuple(tuple(each) for each in layout.borders)
-    pyramids = np.zeros((3, layout.offsets[-1]))
-    for channel in range(3):
-        layout.interior(pyramids[channel], 0)[...] = cube[..., channel]
-        box_pyramid(pyramids[channel], layout.offsets, layout.sizes, borders)
-    out = []
-    for n, alpha in sizes_and_alphas:
-        samples, level = lobe_samples(count, alpha), np.empty((6, n, n, 3), np.float32)
+    def rows(first: int, last: int) -> None:
+        filter_by_importance(samples, n, first, last, flat, layout.offsets, layout.sizes, out)
 
-        def rows(first: int, last: int, n: int = n, samples: NDArray = samples, into: NDArray = level) -> None:
-            filter_by_importance(samples, n, first, last, pyramids, layout.offsets, layout.sizes, into)
-
-        over_rows(rows, 6 * n, threads)
-        out.append(level)
+    over_rows(rows, 6 * n, threads)
     return out

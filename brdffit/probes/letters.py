@@ -11,12 +11,10 @@ from PIL import Image, ImageDraw, ImageFont
 from brdffit.files.image_io import write_png
 from brdffit.probes.cubemap import FACES, face_coordinates, face_points, look_up
 from brdffit.probes.picture import exposure_of, latlong_directions, toned
-from brdffit.probes.writing import latlong_of
+from brdffit.probes.reading import CELLS
 
 #: Texels along a face, pixels between faces, and pixels of a line of text.
 _SIZE, _GAP, _TITLE = 128, 4, 18
-#: Cells (row, column) of the faces in a cross.
-_CELLS = ((1, 2), (1, 0), (0, 1), (2, 1), (1, 1), (1, 3))
 #: Points (u, v) beyond the right and the upper edge of a face.
 _OVER = ((np.array(1.5), np.array(0.0)), (np.array(0.0), np.array(1.5)))
 _COLOURS = np.array(
@@ -42,14 +40,6 @@ def lettered_cube(n: int = _SIZE) -> NDArray:
     return np.stack(faces).astype(np.float32)
 
 
-def lettered_latlong(height: int = _SIZE) -> NDArray:
-    """(height, 2 height, 3) float32 lat-long picture of ``lettered_cube``, its middle column along -Z.
-
-    Filtered by another tool, or by `brdffit probe`, it shows how that tool turns cube maps.
-    """
-    return latlong_of(lettered_cube(), height)
-
-
 def draw_faces(cube: NDArray, path: Path, title: str) -> None:
     """Draw a cube map (6, n, n, 3) as a cross, each face with its name, and as a lat-long picture below.
 
@@ -65,7 +55,7 @@ def draw_faces(cube: NDArray, path: Path, title: str) -> None:
     canvas = Image.new("RGB", (4 * (n + _GAP) + _GAP, 5 * n + 5 * _GAP + 2 * _TITLE), (24, 24, 24))
     draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(12)
     draw.text((_GAP, 3), title, fill=(255, 255, 255), font=font)
-    for face, (row, column) in enumerate(_CELLS):
+    for face, (row, column) in enumerate(CELLS["horizontal-cross"]):
         x, y = _GAP + column * (n + _GAP), _TITLE + row * (n + _GAP)
         pixels = Image.fromarray(toned(cube[face], exposure)).resize((n, n), Image.Resampling.BOX)
         canvas.paste(pixels, (x, y))

@@ -52,3 +52,9 @@ def is_narrow(alpha: float, n: int) -> bool:
     Lobes around texel centres then leave gaps between them, and a small lamp shows or not depending on where it lies.
     """
     return 2.0 * half_width(alpha) < 2.0 / n
+
+
+def half_angles(u: NDArray, alpha: float) -> tuple[NDArray, NDArray]:
+    """Angles of half vectors from the normal at which the distribution function of D (n.h) is ``u``, and D there."""
+    angle = np.arctan(alpha * np.sqrt(u / (1.0 - u)))
+    return angle, alpha**2 / (np.pi * np.square(np.cos(angle) ** 2 * (alpha**2 - 1.0) + 1.0))

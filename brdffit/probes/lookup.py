@@ -12,9 +12,11 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg
 
-from brdffit.probes.cubemap import border, face_coordinates, face_points, look_up_trilinear
+from brdffit.probes.cubemap import border, corners, look_up_trilinear
 from brdffit.probes.curves import Curve
+from brdffit.probes.tables import texel_directions
 from brdffit.probes.tree import Tree, tau_for
 from brdffit.roughness import alpha_from_perceptual
 
@@ -71,11 +73,9 @@ def fitted_to_lookup(
     goal = goal - system[:, :known] @ start[:known]
     system, first = system[:, known:].tocsr(), start[known:]
     fitted = np.stack([_robust(system, goal[:, c], weight, first[:, c]) for c in range(3)], axis=1)
-    out, at = [levels[0]], 0
-    for level in levels[1:]:
-        count = level.shape[1] ** 2 * 6
-        out.append(np.maximum(fitted[at : at + count], 0.0).reshape(level.shape).astype(np.float32))
-        at += count
+    ends = np.cumsum([level.shape[1] ** 2 * 6 for level in levels[1:]])
+    texels = np.split(np.maximum(fitted, 0.0).astype(np.float32), ends[:-1])
+    out = [levels[0], *(each.reshape(level.shape) for each, level in zip(texels, levels[1:], strict=True))]
     after = float(lookup_errors(tree, out, curve, threads).mean())
     return (out, before, after) if after < before else (levels, before, before)
 
@@ -110,16 +110,13 @@ def _jittered_directions(n: int, seed: int) -> NDArray:
     face, row, column = wanted // (n * n), wanted // n % n, wanted % n
     u = 2.0 * (column + rng.random(len(wanted))) / n - 1.0
     v = 1.0 - 2.0 * (row + rng.random(len(wanted))) / n
-    at = face_points(u, v)[face, np.arange(len(wanted))]
-    return at / np.linalg.norm(at, axis=1, keepdims=True)
+    return texel_directions(np.stack([face, u, v], axis=1))
 
 
 def _bilinear(direction: NDArray, n: int) -> sparse.csr_matrix:
     """(directions, 6 n^2) weights of a seamless bilinear read."""
-    face, u, v = face_coordinates(direction)
-    x, y = (u + 1.0) * 0.5 * n + 0.5, (1.0 - v) * 0.5 * n + 0.5
-    i, j = np.clip(x.astype(int), 0, n), np.clip(y.astype(int), 0, n)
-    right, down, m = x - i, y - j, n + 2
+    face, j, i, down, right = corners(direction, n)
+    m = n + 2
     corner = (face * m + j) * m + i
     columns = np.stack([corner, corner + 1, corner + m, corner + m + 1], axis=1)
     values = np.stack([(1 - right) * (1 - down), right * (1 - down), (1 - right) * down, right * down], axis=1)
@@ -131,8 +128,7 @@ def _bilinear(direction: NDArray, n: int) -> sparse.csr_matrix:
 def _padding(n: int) -> sparse.csr_matrix:
     """(6 (n + 2)^2, 6 n^2) matrix from the texels of a cube map to its padded faces, see ``cubemap.pad``."""
     m, where = n + 2, border(n)
-    face, j, i = np.meshgrid(np.arange(6), np.arange(n), np.arange(n), indexing="ij")
-    inside = ((face * m + j + 1) * m + i + 1).ravel()
+    inside = np.arange(6 * m * m).reshape(6, m, m)[:, 1:-1, 1:-1].ravel()
     number = np.full(6 * m * m, -1)
     number[inside] = np.arange(6 * n * n)
     rows = np.concatenate([inside, where.edge, np.repeat(where.corner, 3)])
@@ -146,25 +142,18 @@ def _robust(system: sparse.csr_matrix, goal: NDArray, weight: NDArray, start: ND
 
     The preconditioner is the diagonal of the system, which the penalty's weights ``hold`` are proportional to.
     """
-    x = start.copy()
+    x, square = start.copy(), (len(start), len(start))
     smallest = 1e-3 * float(np.average(np.abs(goal), weights=weight)) + 1e-30
     for _ in range(_REWEIGHTINGS):
         residual = goal - system @ x
         each = weight / np.maximum(np.abs(residual), smallest)
         # The penalty is a fraction of the weight of a texel's own samples; a texel without samples stays as it is.
         hold = _HOLD * np.asarray(system.multiply(system).T @ each).ravel() + 1e-9 * float(each.max())
-        step = np.zeros_like(x)
+
+        def normal(way: NDArray, each: NDArray = each, hold: NDArray = hold) -> NDArray:
+            return system.T @ (each * (system @ way)) + hold * way
+
         right = system.T @ (each * residual) + hold * (start - x)
-        precondition = 1.0 / (hold * (1.0 + 1.0 / _HOLD))
-        z = precondition * right
-        way, size = z.copy(), float(right @ z)
-        for _ in range(_STEPS):
-            image = system.T @ (each * (system @ way)) + hold * way
-            along = size / max(float(way @ image), 1e-300)
-            step += along * way
-            right = right - along * image
-            z = precondition * right
-            size, before = float(right @ z), size
-            way = z + (size / max(before, 1e-300)) * way
-        x = x + step
+        diagonal = sparse.diags_array(1.0 / (hold * (1.0 + 1.0 / _HOLD)))
+        x += cg(LinearOperator(square, matvec=normal), right, rtol=1e-12, maxiter=_STEPS, M=diagonal)[0]
     return x

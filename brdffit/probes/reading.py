@@ -30,14 +30,12 @@ _FACE_NAMES = (
     ("x+", "x-", "y+", "y-", "z+", "z-"),
 )
 #: Cells (row, column) of +X -X +Y -Y +Z -Z; in a vertical cross -Z is turned by 180 degrees.
-_CROSS = {
+CELLS = {
     "horizontal-cross": ((1, 2), (1, 0), (0, 1), (2, 1), (1, 1), (1, 3)),
     "vertical-cross": ((1, 2), (1, 0), (0, 1), (2, 1), (1, 1), (3, 1)),
     "strip": tuple((0, k) for k in range(6)),
     "column": tuple((k, 0) for k in range(6)),
 }
-#: Rows and columns of cells.
-_CELLS = {"horizontal-cross": (3, 4), "vertical-cross": (4, 3), "strip": (1, 6), "column": (6, 1)}
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ def as_cube(surroundings: Surroundings, n: int, centre: str = "-z", degrees: flo
         samples = int(np.clip(6 * np.ceil(picture.shape[1] / (4.0 * n)), 6, 96))
 
         def rows(first: int, last: int) -> None:
-            average_equirect(picture, surroundings.on_border, *ahead, 1.0, samples, first, last, out)
+            average_equirect(picture, surroundings.on_border, *ahead, samples, first, last, out)
 
         over_rows(rows, 6 * n, threads)
         return out
@@ -170,7 +168,8 @@ def _guessed(path: Path, shape: tuple[int, ...]) -> str:
     height, width = shape[:2]
     if abs(width - 2 * height) <= 2:
         return "latlong"
-    for layout, (rows, columns) in _CELLS.items():
+    for layout, cells in CELLS.items():
+        rows, columns = np.max(cells, axis=0) + 1
         if width * rows == height * columns and height % rows == 0:
             return layout
     raise InputError(
@@ -180,15 +179,15 @@ def _guessed(path: Path, shape: tuple[int, ...]) -> str:
 
 
 def _cut(path: Path, picture: NDArray, layout: str) -> NDArray:
-    if layout not in _CELLS:
+    if layout not in CELLS:
         raise InputError(f"'{path}' is one picture, which cannot be read as '{layout}'.")
-    rows, columns = _CELLS[layout]
+    rows, columns = np.max(CELLS[layout], axis=0) + 1
     n = picture.shape[0] // rows
     if picture.shape[:2] != (rows * n, columns * n):
         raise InputError(
             f"'{path}' is {picture.shape[1]}x{picture.shape[0]}, expected square faces in {columns}x{rows} cells."
         )
-    faces = [picture[r * n : (r + 1) * n, c * n : (c + 1) * n] for r, c in _CROSS[layout]]
+    faces = [picture[r * n : (r + 1) * n, c * n : (c + 1) * n] for r, c in CELLS[layout]]
     if layout == "vertical-cross":
         faces[5] = faces[5][::-1, ::-1]
     return np.stack(faces)

@@ -24,12 +24,10 @@ _WIDTH, _GAP, _TITLE = 224, 6, 18
 
 def draw_front(methods: list[dict[str, Any]], path: Path) -> None:
     """Plot the mean error of each method over its mean processor time, on logarithmic axes, as a PNG."""
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(8.5, 5.0), dpi=110)
+    figure = Figure((8.5, 5.0), dpi=110)
+    axes = figure.subplots()
     kinds = {"tree": "C0", "ggx": "C1", "importance": "C2"}
     for name in dict.fromkeys(each["method"] for each in methods):
         rows = [each for each in methods if each["method"] == name]
@@ -50,32 +48,28 @@ def draw_front(methods: list[dict[str, Any]], path: Path) -> None:
     axes.grid(True, which="both", alpha=0.2)
     figure.tight_layout()
     figure.savefig(path)
-    pyplot.close(figure)
 
 
 def draw_histories(tables: Sequence[TableFile], path: Path) -> None:
     """Plot for each table and level the best error on searched texels over time, and the held-out error at the end."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib.figure import Figure
 
     columns = min(len(tables), 3)
     rows = (len(tables) + columns - 1) // columns
-    size = (11.0, 2.9 * rows) if columns > 1 else (7.0, 4.5)
-    figure, all_axes = pyplot.subplots(rows, columns, figsize=size, dpi=100, squeeze=False)
+    figure = Figure((11.0, 2.9 * rows) if columns > 1 else (7.0, 4.5), dpi=100)
+    all_axes = figure.subplots(rows, columns, squeeze=False)
     for axes, table in zip(all_axes.flat, tables, strict=False):
-        for level in sorted(table.histories):
-            seconds, errors, steps = zip(*table.histories[level], strict=True)
+        for number, level in sorted(table.levels.items()):
+            seconds, errors, steps = zip(*level.history, strict=True)
             # Later steps measure on other texels, so their errors are not comparable.
             searched = [k for k, step in enumerate(steps) if step.startswith(("start", "deepened"))]
             line = axes.step(
                 [seconds[k] for k in searched],
                 np.minimum.accumulate([errors[k] for k in searched]),
                 where="post",
-                label=f"level {level}",
+                label=f"level {number}",
             )[0]
-            axes.plot(table.seconds[level], table.errors[level], "o", color=line.get_color(), markersize=4)
+            axes.plot(level.seconds, level.error, "o", color=line.get_color(), markersize=4)
         axes.set_title(table.name, fontsize=9)
         axes.set_xscale("log")
         axes.grid(True, alpha=0.2)
@@ -86,13 +80,12 @@ def draw_histories(tables: Sequence[TableFile], path: Path) -> None:
     figure.supylabel("L1 of the preimage", fontsize=9)
     figure.tight_layout()
     figure.savefig(path)
-    pyplot.close(figure)
 
 
 def _methods() -> list[tuple[str, FilterOptions]]:
     out = [("exact", FilterOptions("tree", 1e-4)), ("tree 0.01", FilterOptions("tree", 0.01))]
-    whole = [name for name in shipped_tables() if len(load_table(name).errors) == 6]
-    out += [(name, FilterOptions("table", tables=load_table(name).levels)) for name in whole]
+    tables = [load_table(name) for name in shipped_tables()]
+    out += [(each.name, FilterOptions("table", tables=each.tables)) for each in tables if each.is_whole]
     return [*out, ("importance 32", FilterOptions("importance", samples=32))]
 
 

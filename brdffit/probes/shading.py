@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from brdffit.models.microfacet import LEAST_REFLECTANCE
 from brdffit.probes.cubemap import look_up, look_up_trilinear
@@ -93,10 +94,6 @@ class ProbeLight:
 
     def _scale_and_bias(self, cosine: NDArray, roughness: NDArray) -> NDArray:
         """(n, 2) scale and bias, read bilinearly and clamped at the border of the table."""
-        last = len(self.dfg) - 1
-        y, x = (np.clip(each * (last + 1) - 0.5, 0.0, last) for each in (roughness, cosine))
-        row, column = (np.minimum(each.astype(int), last - 1) for each in (y, x))
-        below, right = (y - row)[:, None], (x - column)[:, None]
-        upper = self.dfg[row, column] * (1.0 - right) + self.dfg[row, column + 1] * right
-        lower = self.dfg[row + 1, column] * (1.0 - right) + self.dfg[row + 1, column + 1] * right
-        return upper * (1.0 - below) + lower * below
+        at = [each * len(self.dfg) - 0.5 for each in (roughness, cosine)]
+        read = [map_coordinates(self.dfg[..., k], at, np.float64, order=1, mode="nearest") for k in (0, 1)]
+        return np.stack(read, axis=-1)

@@ -10,6 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.probes.cubemap import halved, look_up_trilinear, resized
+from brdffit.probes.lobe import half_angles
+from brdffit.probes.lookup import random_directions
+from brdffit.probes.tree import Tree, tau_for
 from brdffit.roughness import alpha_from_perceptual
 
 _RADIAL, _AROUND = 96, 48
@@ -29,12 +33,17 @@ def scale_and_bias(cosine: NDArray, alpha: float) -> NDArray:
     sin_v = np.sqrt(np.maximum(1.0 - nv * nv, 0.0))
     vh = np.maximum(sin_v * sin_h * np.cos(azimuth) + nv * cos_h, 0.0)
     nl = np.maximum(2.0 * vh * cos_h - nv, 0.0)
+    value = _weight(nv, nl, vh, cos_h, alpha) * weight[:, None] * share
+    fresnel = (1.0 - vh) ** 5
+    return np.stack([((1.0 - fresnel) * value).sum(axis=(-1, -2)), (fresnel * value).sum(axis=(-1, -2))], axis=-1)
+
+
+def _weight(nv: NDArray | float, nl: NDArray, vh: NDArray, nh: NDArray, alpha: float) -> NDArray:
+    """W of the cosines n.v, n.l, v.h and n.h."""
     square = alpha * alpha
     lit = nl * np.sqrt(square + (1.0 - square) * nv * nv) + nv * np.sqrt(square + (1.0 - square) * nl * nl)
     visibility = 0.5 / np.maximum(lit, 1e-12)
-    value = 4.0 * visibility * nl * vh / cos_h * weight[:, None] * share
-    fresnel = (1.0 - vh) ** 5
-    return np.stack([((1.0 - fresnel) * value).sum(axis=(-1, -2)), (fresnel * value).sum(axis=(-1, -2))], axis=-1)
+    return 4.0 * visibility * nl * vh / nh
 
 
 def dfg_table(size: int = 64) -> NDArray:
@@ -54,13 +63,13 @@ def split_errors(cubes: list[NDArray], count: int, threads: int = 1) -> dict[str
     Returns:
         "roughness" and "cosines" (n.v) that were measured, and "errors", a row for each roughness, averaged over cubes.
     """
-    from brdffit.probes.cubemap import halved, look_up_trilinear, resized
-    from brdffit.probes.lookup import random_directions
-    from brdffit.probes.tree import Tree, tau_for
-
     cosines, roughnesses, samples = (0.95, 0.7, 0.4, 0.2), (0.2, 0.6, 1.0), 512
     index = np.arange(samples)
     u, turn = (index + 0.5) / samples, 2.0 * np.pi * (index * 0.6180339887498949 % 1.0)
+    normal = random_directions(count, 7)
+    side = np.cross(normal, random_directions(count, 8))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    frame = np.stack([side, np.cross(normal, side), normal])
     errors = np.zeros((len(roughnesses), len(cosines)))
     for cube in cubes:
         chain, tree = [resized(cube, min(cube.shape[1], 128))], Tree(cube)
@@ -69,30 +78,22 @@ def split_errors(cubes: list[NDArray], count: int, threads: int = 1) -> dict[str
         texel = 4.0 * np.pi / (6 * chain[0].shape[1] ** 2)
         for a, roughness in enumerate(roughnesses):
             alpha = float(alpha_from_perceptual(np.asarray(roughness)))
-            cos_h = np.sqrt((1.0 - u) / (1.0 + (alpha * alpha - 1.0) * u))
-            sin_h = np.sqrt(1.0 - cos_h**2)
-            half = np.stack([sin_h * np.cos(turn), sin_h * np.sin(turn), cos_h], axis=1)
-            density = alpha**2 / (np.pi * ((alpha**2 - 1.0) * cos_h**2 + 1.0) ** 2)
+            angle, density = half_angles(u, alpha)
+            half = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=1)
             for b, nv in enumerate(cosines):
                 view = np.array([np.sqrt(1.0 - nv * nv), 0.0, nv])
-                vh = half @ view
+                vh, nh = half @ view, half[:, 2]
                 light = 2.0 * vh[:, None] * half - view
-                nl = light[:, 2]
-                above = (nl > 0.0) & (vh > 0.0)
-                lit = nl * np.sqrt(alpha**2 + (1 - alpha**2) * nv**2) + nv * np.sqrt(alpha**2 + (1 - alpha**2) * nl**2)
-                weight = np.where(above, 2.0 * nl * vh / (np.maximum(lit, 1e-9) * cos_h), 0.0) / samples
+                above = (light[:, 2] > 0.0) & (vh > 0.0)
+                weight = np.where(above, _weight(nv, np.maximum(light[:, 2], 0.0), vh, nh, alpha), 0.0) / samples
                 # A sample stands for 4 v.h / (N D n.h) of solid angle.
-                angle = 4.0 * np.maximum(vh, 1e-3) / (samples * density * cos_h)
-                level = 0.5 * np.log2(np.maximum(angle / texel, 1.0))
-                normal = random_directions(count, 7)
-                side = np.cross(normal, random_directions(count, 8))
-                side /= np.linalg.norm(side, axis=1, keepdims=True)
-                other = np.cross(normal, side)
+                angle_of_sample = 4.0 * np.maximum(vh, 1e-3) / (samples * density * nh)
+                level = 0.5 * np.log2(np.maximum(angle_of_sample / texel, 1.0))
                 true = np.zeros((count, 3))
                 for k in np.flatnonzero(above):
-                    at = side * light[k, 0] + other * light[k, 1] + normal * nl[k]
+                    at = np.tensordot(light[k], frame, 1)
                     true += weight[k] * look_up_trilinear(chain, at, np.full(count, level[k]))
-                mirrored = 2.0 * nv * normal - (side * view[0] + normal * nv)
+                mirrored = np.tensordot([-view[0], 0.0, nv], frame, 1)
                 split = tree.filtered(mirrored, alpha, tau_for(0.005), threads) * weight.sum()
                 errors[a, b] += np.abs(split - true).sum() / true.sum() / len(cubes)
     return {"roughness": list(roughnesses), "cosines": list(cosines), "errors": errors.round(4).tolist()}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from brdffit.errors import InputError, UnknownNameError
 from brdffit.files.atomic import write_text
 from brdffit.probes.curves import get_curve
-from brdffit.probes.table_fit import LevelSearch, TableRequest
+from brdffit.probes.table_fit import LevelSearch, TableLevel, TableRequest
 from brdffit.probes.tables import BASE_SIZE
 
 _SHIPPED = Path(__file__).parent / "data"
@@ -31,22 +31,25 @@ class TableFile:
     Attributes:
         name: name of the file, as "ggx-const-8".
         curve: name of the roughness curve that it is valid for; "irradiance" for the clamped cosine.
-        levels: table (5, terms, 3 taps) of each level; None where there is none.
-        sizes: texels along a face, by level.
-        errors: mean L1 of the preimage on held-out texels, by level.
-        seconds: processor seconds of the fit, by level.
-        histories: list of (seconds, error on the searched texels, step) of the search, by level.
-        record: all other entries of the file.
+        levels: the table of each level that there is.
+        terms, taps: polynomials, and reads of each frame.
     """
 
     name: str
     curve: str
-    levels: list[NDArray | None]
-    sizes: dict[int, int]
-    errors: dict[int, float]
-    seconds: dict[int, float]
-    histories: dict[int, list]
-    record: dict
+    levels: dict[int, TableLevel]
+    terms: str
+    taps: int
+
+    @property
+    def tables(self) -> dict[int, NDArray]:
+        """Table (5, terms, 3 taps) of each level."""
+        return {number: level.table for number, level in self.levels.items()}
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it filters all levels of a probe, but level 0, which is copied."""
+        return set(self.levels) == set(range(1, LEVELS))
 
 
 def shipped_tables() -> list[str]:
@@ -66,7 +69,7 @@ def load_table(name_or_path: str | Path) -> TableFile:
         if str(name_or_path) not in shipped_tables():
             raise UnknownNameError("table", str(name_or_path), shipped_tables())
         path = _SHIPPED / f"{name_or_path}.json"
-    return _parsed(path, _read(path))
+    return _parsed(path)
 
 
 def _read(path: Path) -> dict:
@@ -79,16 +82,18 @@ def _read(path: Path) -> dict:
     return record
 
 
-def _parsed(path: Path, record: dict) -> TableFile:
-    levels: list[NDArray | None] = [None] * LEVELS
-    seconds = {each["level"]: each["seconds"] for each in record["levels"]}
-    sizes, errors = {}, {}
-    for each in record["levels"]:
-        levels[each["level"]] = np.array(each["table"])
-        sizes[each["level"]], errors[each["level"]] = each["size"], each["error"]
-    histories = {each["level"]: each["history"] for each in record["levels"]}
-    rest = {key: value for key, value in record.items() if key != "levels"}
-    return TableFile(path.stem, record["curve"], levels, sizes, errors, seconds, histories, rest)
+def _parsed(path: Path) -> TableFile:
+    record = _read(path)
+    try:
+        levels = {
+            each["level"]: TableLevel(
+                np.array(each["table"], float), each["size"], each["error"], each["seconds"], each["history"]
+            )
+            for each in record["levels"]
+        }
+        return TableFile(path.stem, record["curve"], levels, record["terms"], record["taps"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"'{path}' is no whole table of `brdffit probe table` ({error!r}).") from error
 
 
 def make_table(
@@ -126,13 +131,12 @@ def make_table(
         if any(each["level"] == level for each in done):
             continue
         n, alpha = goals[level]
-        given = [table.levels[level] for table in begin_with or []]
-        begin = [table for table in given if table is not None and table.shape[2] == 3 * request.taps]
+        begin = [each.tables[level] for each in begin_with or [] if each.taps == request.taps and level in each.levels]
         found = LevelSearch(n, alpha, request, begin, listener).run()
         done.append(
             {
                 "level": level,
-                "size": n,
+                "size": found.size,
                 "alpha": alpha,
                 "error": round(found.error, 5),
                 "seconds": round(found.seconds, 1),
@@ -143,4 +147,4 @@ def make_table(
         write_text(output, json.dumps({**record, "levels": done}, indent=None, separators=(",", ":")) + "\n")
         if listener:
             listener(f"level {level} done: {found.error:.4f} on held-out texels, {found.seconds:.0f} s")
-    return _parsed(output, _read(output))
+    return _parsed(output)

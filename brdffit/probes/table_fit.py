@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 
+from brdffit.probes.lobe import half_angles
 from brdffit.probes.table_symmetry import SYMMETRIES, fold, free_taps, orbits, unfold
 from brdffit.probes.tables import BASE_SIZE, TERMS, Goal, texels_of
 
@@ -53,21 +55,22 @@ class TableRequest:
     paper: bool = False
 
 
-@dataclass
-class FittedLevel:
+class TableLevel(NamedTuple):
     """The table of one level and the record of its search.
 
     Attributes:
         table: (5, terms, 3 taps).
+        size: texels along a face.
         error: mean L1 of the preimage on held-out texels.
         seconds: processor time.
         history: (seconds, error on the searched texels, name of the step) of each step.
     """
 
     table: NDArray
+    size: int
     error: float
     seconds: float
-    history: list[tuple[float, float, str]] = field(default_factory=list)
+    history: list[tuple[float, float, str]]
 
 
 def importance_start(taps: int, count: int, alpha: float, rng: np.random.Generator) -> NDArray:
@@ -81,10 +84,8 @@ def importance_start(taps: int, count: int, alpha: float, rng: np.random.Generat
     all_taps = _FRAMES * taps
     # Within 45 degrees of the half vector from the normal, l is above the horizon.
     top = 1.0 / (1.0 + alpha * alpha)
-    u = u * top
-    half = np.arctan(alpha * np.sqrt(u / (1.0 - u)))
+    half, density = half_angles(u * top, alpha)
     cosine = np.cos(2.0 * half)
-    density = alpha**2 / (np.pi * np.square(np.cos(half) ** 2 * (alpha**2 - 1.0) + 1.0))
     angle = 4.0 * top / (all_taps * density)
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
     level = 0.5 * np.log2(angle / (4.0 / BASE_SIZE**2)) + rng.uniform(-0.5, 0.5, count)
@@ -132,12 +133,12 @@ class LevelSearch:
         self._history: list[tuple[float, float, str]] = []
         self._best = np.inf
 
-    def run(self) -> FittedLevel:
+    def run(self) -> TableLevel:
         """Search, and measure the result on held-out texels."""
         best = self._as_the_paper() if self._request.paper else self._search()
         seconds = time.process_time() - self._began
         error = held_out_goal(self._n, self._alpha).error(best)
-        return FittedLevel(best, error, seconds, self._history)
+        return TableLevel(best, self._n, error, seconds, self._history)
 
     def _search(self) -> NDArray:
         request = self._request

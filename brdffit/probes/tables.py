@@ -8,13 +8,12 @@ centres of a base of 128^2 times the solid angles, normalised to unit sum.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.probes.cubemap import directions, face_points, solid_angles
-from brdffit.probes.downsampling import Layout
+from brdffit.probes.downsampling import ColourPyramid, layout_of
 from brdffit.probes.kernels.tables import filter_by_table, table_error
 from brdffit.probes.lobe import lobe
 from brdffit.probes.parallel import over_rows
@@ -22,12 +21,6 @@ from brdffit.probes.parallel import over_rows
 #: Size of the base that tables are for, and the polynomial terms of each kind.
 BASE_SIZE = 128
 TERMS = {"const": 1, "quadratic": 3, "quartic": 6}
-
-
-@lru_cache(maxsize=4)
-def layout_of(base_size: int = BASE_SIZE) -> Layout:
-    """The layout of the intermediate pyramid over a base of ``base_size``^2, a power of two."""
-    return Layout(base_size)
 
 
 def texels_of(n: int) -> NDArray:
@@ -93,37 +86,23 @@ class Goal:
         return self._measure(table, 0.0, False)[2]
 
     def _measure(self, table: NDArray, smoothing: float, with_gradient: bool) -> tuple[float, NDArray, NDArray]:
-        table = np.ascontiguousarray(table, np.float64)
-        flat, gradient, errors = np.zeros(layout_of().offsets[-1]), np.zeros(table.shape), np.zeros(len(self.texels))
+        table, layout = np.ascontiguousarray(table, np.float64), layout_of(BASE_SIZE)
+        flat, gradient, errors = np.zeros(layout.offsets[-1]), np.zeros(table.shape), np.zeros(len(self.texels))
+        arrays = layout.offsets, layout.sizes, layout.borders, layout.weights
         error = table_error(
-            table, self.texels, self.shares, self.wanted, smoothing, flat, _arrays(), self.base, with_gradient,
-            gradient, errors,
+            table, self.texels, self.shares, self.wanted, smoothing, flat, arrays, self.base, with_gradient, gradient,
+            errors,
         )  # fmt: skip
         return float(error), gradient, errors
 
 
-@lru_cache(maxsize=1)
-def _arrays() -> tuple:
-    layout = layout_of()
-    return layout.offsets, layout.sizes, tuple(tuple(each) for each in layout.borders), layout.weights
+def filtered_by_table(pyramid: ColourPyramid, n: int, table: NDArray, threads: int = 1) -> NDArray:
+    """A level (6, n, n, 3) float32 of a pyramid over 128^2, by the table of that level."""
+    layout, flat = pyramid
+    table, out = np.ascontiguousarray(table), np.empty((6, n, n, 3), np.float32)
 
+    def rows(first: int, last: int) -> None:
+        filter_by_table(table, n, first, last, flat, layout.offsets, layout.sizes, out)
 
-def filtered_by_table(cube: NDArray, tables: list[NDArray | None], threads: int = 1) -> list[NDArray | None]:
-    """Levels (6, n, n, 3) of a cube map (6, 128, 128, 3) by the table of each; None where there is no table."""
-    layout = layout_of()
-    pyramids = np.stack([layout.build(cube[..., channel]) for channel in range(3)])
-    out: list[NDArray | None] = []
-    for level, table in enumerate(tables):
-        if table is None:
-            out.append(None)
-            continue
-        n = BASE_SIZE >> level
-        cube_out = np.empty((6, n, n, 3), np.float32)
-        packed = np.ascontiguousarray(table)
-
-        def rows(first: int, last: int, n: int = n, packed: NDArray = packed, into: NDArray = cube_out) -> None:
-            filter_by_table(packed, n, first, last, pyramids, layout.offsets, layout.sizes, into)
-
-        over_rows(rows, 6 * n, threads)
-        out.append(cube_out)
+    over_rows(rows, 6 * n, threads)
     return out

@@ -52,7 +52,7 @@ def bilinear_corner(u, v, n):
 
 
 @kernel
-def average_equirect(picture, border, centre_x, centre_z, mirror, samples, first, last, out):
+def average_equirect(picture, border, centre_x, centre_z, samples, first, last, out):
     """Mean radiance of the texels of rows first to last (counted over all faces) of ``out`` (6, n, n, 3).
 
     ``picture`` (H, W, 3) is constant inside its pixels; with ``border`` its outer pixel centres lie on the border. Its
@@ -69,7 +69,6 @@ def average_equirect(picture, border, centre_x, centre_z, mirror, samples, first
                 for a in range(samples):
                     u = 2.0 * (i + (a + 0.5) / samples) / n - 1.0
                     x, y, z = face_point(face, u, v)
-                    x *= mirror
                     square = 1.0 + u * u + v * v
                     weight = 1.0 / (square * math.sqrt(square))
                     # Right of the centre (sine) and along it (cosine), seen from above.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from brdffit._jit import kernel
 
 #: Texels of the source that are read at once: 112 KiB.
@@ -11,18 +9,18 @@ _PIECE = 2048
 
 
 @kernel
-def weigh_all(normals, alpha, source, first, last, out):
-    """Radiance (q, 3) filtered around normals first to last (q, 3).
+def weigh_all(normals, alpha, source, first, last, out, totals):
+    """Sums over the source of K times solid angle times radiance (q, 3), and of K times solid angle (q,).
 
-    ``source`` is (7, texels): unit direction, solid angle, radiance. K = (1 - d) / (alpha^2 + m d)^2 of d = 1 - n.l,
-    which comes from |n - l|^2 / 2, for 1 - n.l cancels near the peak.
+    ``source`` is (7, texels): unit direction, solid angle, radiance; normals (q, 3) first to last are done. K = (1 - d)
+    / (alpha^2 + m d)^2 of d = 1 - n.l, which comes from |n - l|^2 / 2, for 1 - n.l cancels near the peak.
     """
     square = alpha * alpha
     m = 0.5 * (1.0 - square)
     x, y, z, angle = source[0], source[1], source[2], source[3]
     red, green, blue = source[4], source[5], source[6]
     out[first:last] = 0.0
-    totals = np.zeros(last - first)
+    totals[first:last] = 0.0
     # A piece of the source stays in the cache for all normals.
     for begin in range(0, x.shape[0], _PIECE):
         end = min(begin + _PIECE, x.shape[0])
@@ -38,31 +36,7 @@ def weigh_all(normals, alpha, source, first, last, out):
                 r += weight * red[t]
                 g += weight * green[t]
                 b += weight * blue[t]
-            totals[q - first] += total
+            totals[q] += total
             out[q, 0] += r
             out[q, 1] += g
             out[q, 2] += b
-    for q in range(first, last):
-        for channel in range(3):
-            out[q, channel] /= totals[q - first]
-
-
-@kernel
-def add_points(normals, alpha, inverse_integral, points, first, last, out):
-    """Add what bright points (7, k: direction, solid angle, radiance) give to normals first to last."""
-    square = alpha * alpha
-    m = 0.5 * (1.0 - square)
-    for q in range(first, last):
-        nx, ny, nz = normals[q, 0], normals[q, 1], normals[q, 2]
-        r, g, b = 0.0, 0.0, 0.0
-        for t in range(points.shape[1]):
-            dx, dy, dz = points[0, t] - nx, points[1, t] - ny, points[2, t] - nz
-            far = 0.5 * (dx * dx + dy * dy + dz * dz)
-            p = square + m * far
-            weight = max(1.0 - far, 0.0) * points[3, t] / (p * p)
-            r += weight * points[4, t]
-            g += weight * points[5, t]
-            b += weight * points[6, t]
-        out[q, 0] += r * inverse_integral
-        out[q, 1] += g * inverse_integral
-        out[q, 2] += b * inverse_integral

@@ -6,7 +6,6 @@ import math
 
 from brdffit._jit import inline, kernel
 from brdffit.probes.kernels.cube import face_of, face_point
-from brdffit.probes.kernels.pyramid import fold_level, pad_level
 from brdffit.probes.kernels.tables import level_between, read_trilinear, splat
 
 
@@ -34,60 +33,17 @@ def sample_at(samples, k, frame, nx, ny, nz, texel_area):
 
 
 @kernel
-def importance_errors(samples, texels, wanted, flat, offsets, sizes, borders, errors):
-    """L1 distance of the preimage of each texel (T, 3: face, u, v) from ``wanted``, over a chain of plain means."""
-    last, n = len(sizes) - 1, sizes[0]
-    for q in range(texels.shape[0]):
-        px, py, pz = face_point(int(texels[q, 0]), texels[q, 1], texels[q, 2])
-        scale = 1.0 / math.sqrt(px * px + py * py + pz * pz)
-        nx, ny, nz = px * scale, py * scale, pz * scale
-        frame = tangents(nx, ny, nz)
-        flat[:] = 0.0
-        total = 0.0
-        for k in range(samples.shape[0]):
-            weight = samples[k, 2]
-            face, u, v, level = sample_at(samples, k, frame, nx, ny, nz, 4.0 / (n * n))
-            below, share = level_between(level, 0, last)
-            splat(flat, offsets, sizes, face, u, v, below, weight * (1.0 - share))
-            splat(flat, offsets, sizes, face, u, v, below + 1, weight * share)
-            total += weight
-        for level in range(last, -1, -1):
-            edge, edge_source, corner, corner_source = borders[level]
-            fold_level(flat, offsets[level], edge, edge_source, corner, corner_source)
-            if level == 0:
-                break
-            m = sizes[level]
-            for face in range(6):
-                for j in range(2 * m):
-                    into = offsets[level - 1] + (face * (2 * m + 2) + j + 1) * (2 * m + 2) + 1
-                    row = offsets[level] + (face * (m + 2) + j // 2 + 1) * (m + 2) + 1
-                    for i in range(2 * m):
-                        flat[into + i] += 0.25 * flat[row + i // 2]
-        error = 0.0
-        for face in range(6):
-            for j in range(n):
-                at = offsets[0] + (face * (n + 2) + j + 1) * (n + 2) + 1
-                for i in range(n):
-                    error += abs(flat[at + i] / total - wanted[q, (face * n + j) * n + i])
-        errors[q] = error
-
-
-@kernel
-def box_pyramid(flat, offsets, sizes, borders):
-    """Fill all levels of a padded pyramid, whose level 0 is given, by plain means of four."""
-    for level in range(len(sizes)):
-        edge, edge_source, corner, corner_source = borders[level]
-        if level > 0:
-            m = sizes[level]
-            for face in range(6):
-                for j in range(m):
-                    into = offsets[level] + (face * (m + 2) + j + 1) * (m + 2) + 1
-                    row = offsets[level - 1] + (face * (2 * m + 2) + 2 * j + 1) * (2 * m + 2) + 1
-                    for i in range(m):
-                        at = row + 2 * i
-                        below = at + 2 * m + 2
-                        flat[into + i] = 0.25 * (flat[at] + flat[at + 1] + flat[below] + flat[below + 1])
-        pad_level(flat, offsets[level], edge, edge_source, corner, corner_source)
+def splat_samples(samples, nx, ny, nz, flat, offsets, sizes):
+    """Add what the samples around a normal weigh to the texels of a pyramid; returns the sum of weights."""
+    frame, total = tangents(nx, ny, nz), 0.0
+    for k in range(samples.shape[0]):
+        weight = samples[k, 2]
+        face, u, v, level = sample_at(samples, k, frame, nx, ny, nz, 4.0 / (sizes[0] * sizes[0]))
+        below, share = level_between(level, 0, len(sizes) - 1)
+        splat(flat, offsets, sizes, face, u, v, below, weight * (1.0 - share))
+        splat(flat, offsets, sizes, face, u, v, below + 1, weight * share)
+        total += weight
+    return total
 
 
 @kernel
