@@ -144,6 +144,19 @@ def test_a_table_is_made_gone_on_with_and_the_same_again(tmp_path):
         make_table(tmp_path / "b.json", TableRequest(2, "const", starts=3, texels=4), "activision", "test")
 
 
-def test_unknown_tables_are_refused():
+def test_unknown_and_damaged_tables_are_refused(tmp_path):
     with pytest.raises(UnknownNameError, match="ggx-const-8"):
         load_table("ggx-const-88")
+    level = {"level": 6, "size": 2, "error": 0.1, "seconds": 1.0, "history": [], "table": np.zeros((5, 1, 23)).tolist()}
+    for levels in ([level], [{}]):
+        record = {"taps": 8, "terms": "const", "curve": "activision", "levels": levels}
+        (tmp_path / "damaged.json").write_text(json.dumps(record))
+        with pytest.raises(InputError, match="is no whole table"):
+            load_table(tmp_path / "damaged.json")
+
+
+def test_a_search_refuses_to_begin_with_what_does_not_fit(tmp_path):
+    for request in (TableRequest(16, "quadratic"), TableRequest(8, "const")):
+        with pytest.raises(InputError, match="'ggx-quadratic-8' has 8 taps of quadratic terms"):
+            make_table(tmp_path / "a.json", request, "activision", "test", [load_table("ggx-quadratic-8")])
+    assert not list(tmp_path.iterdir())

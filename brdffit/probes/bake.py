@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from brdffit.errors import InputError
 from brdffit.files.atomic import first_other, replacing
 from brdffit.files.image_io import file_sha256
+from brdffit.machine import free_memory
 from brdffit.probes.containers import RADIANCE_FORMATS
 from brdffit.probes.cubemap import directions
 from brdffit.probes.curves import Curve, get_curve
@@ -39,8 +41,10 @@ from brdffit.probes.reading import CENTRES, Surroundings, as_cube, is_built_in, 
 from brdffit.probes.sun import Sun, find_sun
 from brdffit.probes.writing import suffix_of, write_probe
 
-#: Texels along a face of the irradiance cube, and of the largest source.
-IRRADIANCE_SIZE, _LARGEST_SOURCE = 32, 1024
+#: Memory that a texel of the source takes while it is filtered, measured at 256^2 and 512^2.
+_BYTES_PER_TEXEL = 400
+#: Texels along a face of the irradiance cube, of the largest source, and of the largest probe.
+IRRADIANCE_SIZE, _LARGEST_SOURCE, _LARGEST = 32, 1024, 4096
 _MIRRORS = {"": np.diag([1, 1, 1]), "x": np.diag([-1, 1, 1]), "z": np.diag([1, 1, -1])}
 
 
@@ -139,18 +143,23 @@ def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = No
         InputError: as ``read_surroundings``, and for options that are out of range or do not go together.
     """
     threads = threads or default_threads()
-    preset = _preset(options)
-    curve = get_curve(options.curve or preset.curve, preset.levels, preset.size)
+    preset, curve, tables = checked(options)
     began = time.perf_counter()
     surroundings = read_surroundings(path, options.layout, options.clamp)
     natural = min(surroundings.natural_size, _LARGEST_SOURCE)
+    needed, free = _BYTES_PER_TEXEL * 6 * max(natural, preset.size) ** 2, free_memory()
+    if free is not None and needed > free:
+        raise InputError(
+            f"'{path}' in faces of {preset.size}x{preset.size} needs about {needed / 2**30:.1f} GiB of memory, "
+            f"{free / 2**30:.1f} GiB are free: ask for a smaller --size."
+        )
     source = as_cube(surroundings, max(natural, preset.size), preset.centre, options.rotate, threads)
     seconds = {"reading": time.perf_counter() - began}
     notes = list(surroundings.notes)
     if natural < preset.size:
-        notes.append(f"The source resolves about {natural} texels a face: level 0 of {preset.size} holds no more.")
+        notes.append(f"The source resolves about {natural}x{natural} texels a face: level 0 holds no more.")
     began = time.perf_counter()
-    levels, irradiance = _filtered(source, preset, curve, options, threads, notes)
+    levels, irradiance = _filtered(source, preset, curve, tables, options, threads, notes)
     seconds["filtering and measuring"] = time.perf_counter() - began
     began = time.perf_counter()
     nine = irradiance_nine(source)
@@ -178,10 +187,15 @@ def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = No
 
 
 def _filtered(
-    source: NDArray, preset: ProbePreset, curve: Curve, options: ProbeOptions, threads: int, notes: list[str]
+    source: NDArray,
+    preset: ProbePreset,
+    curve: Curve,
+    tables: Mapping[int, NDArray],
+    options: ProbeOptions,
+    threads: int,
+    notes: list[str],
 ) -> tuple[list[FilteredLevel], FilteredLevel]:
     """All levels of a cube and its irradiance; adds sentences for the user to ``notes``."""
-    tables = _tables(options, curve) if options.method == "table" else {}
     filtering = FilterOptions(
         options.method, options.tolerance, options.split, options.samples, options.order, tables, threads
     )
@@ -209,16 +223,23 @@ def _filtered(
     return levels, irradiance
 
 
-def _preset(options: ProbeOptions) -> ProbePreset:
-    """The preset with the changes of the options, checked."""
+def checked(options: ProbeOptions) -> tuple[ProbePreset, Curve, Mapping[int, NDArray]]:
+    """The preset with the changes of the options, the curve, and the tables of the method "table".
+
+    Raises:
+        InputError: for options that are out of range or do not go together.
+        UnknownNameError: when there is no such preset or table.
+    """
     preset = get_probe_preset(options.preset)
-    size = options.size or preset.size
-    if size < 16 or size & (size - 1):
-        raise InputError(f"A probe of {size} texels a face was asked for, expected a power of two from 16.")
-    levels = options.levels or preset.levels
+    size = preset.size if options.size is None else options.size
+    if not 16 <= size <= _LARGEST or size & (size - 1):
+        raise InputError(f"A probe of {size} texels a face was asked for, expected a power of two, 16 to {_LARGEST}.")
+    levels = preset.levels if options.levels is None else options.levels
     if not 2 <= levels <= size.bit_length():
         raise InputError(f"{levels} levels were asked for, expected 2 to {size.bit_length()} for {size} texels a face.")
     texel_format = options.texel_format or preset.texel_format
+    if preset.container == "exr" and options.texel_format:
+        raise InputError(f"The preset '{preset.name}' writes EXR files of floats, found the format '{texel_format}'.")
     if preset.container != "exr" and texel_format not in RADIANCE_FORMATS:
         raise InputError(f"There is no format '{texel_format}': known are {', '.join(RADIANCE_FORMATS)}.")
     if preset.container == "ktx1" and RADIANCE_FORMATS[texel_format].opengl is None:
@@ -230,16 +251,21 @@ def _preset(options: ProbeOptions) -> ProbePreset:
         raise InputError(f"The centre cannot be '{centre}': known are {', '.join(CENTRES)}.")
     if not 1e-5 <= options.tolerance <= 0.5:
         raise InputError(f"A tolerance of {options.tolerance:g} was asked for, expected 0.00001 to 0.5.")
-    return replace(preset, size=size, levels=levels, texel_format=texel_format, centre=centre)
+    if not np.isfinite(options.rotate):
+        raise InputError(f"A rotation by {options.rotate:g} degrees was asked for, expected a finite number.")
+    if options.split is not None and not 1.0 <= options.split < np.inf:
+        raise InputError(f"A split at {options.split:g} times the mean was asked for, expected at least 1.")
+    curve = get_curve(preset.curve if options.curve is None else options.curve, levels, size)
+    tables: Mapping[int, NDArray] = {}
+    if options.method == "table":
+        from brdffit.probes.table_files import load_table
 
-
-def _tables(options: ProbeOptions, curve: Curve) -> dict[int, NDArray]:
-    from brdffit.probes.table_files import load_table
-
-    table = load_table(options.table)
-    if table.curve != curve.name:
-        raise InputError(f"The table '{table.name}' is for the curve {table.curve}, found {curve.name}.")
-    return table.tables
+        table = load_table(options.table)
+        if table.curve != curve.name:
+            raise InputError(f"The table '{table.name}' is for the curve {table.curve}, found {curve.name}.")
+        tables = table.tables
+    preset = replace(preset, size=size, levels=levels, texel_format=texel_format, centre=centre)
+    return preset, curve, tables
 
 
 def _within_format(
@@ -289,8 +315,8 @@ def bake_probe(
         OutputError: when the folder cannot be written.
     """
     path = Path(path)
-    probe = make_probe(path, options, threads)
     with replacing(output, foreign_file) as folder:
+        probe = make_probe(path, options, threads)
         began = time.perf_counter()
         files = write_probe(probe, folder)
         if options.picture:

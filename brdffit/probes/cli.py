@@ -86,7 +86,7 @@ def filter_(
     options = ProbeOptions(picture=not no_picture, **asked)
     failed = bake_all(sources, output, options, threads, force, click.echo)
     for name, error in failed:
-        click.echo(f"Error: {name}: {error}", err=True)
+        click.echo(f"Error: {error}" if name in str(error) else f"Error: {name}: {error}", err=True)
     if failed:
         context.exit(1)
 

@@ -29,7 +29,7 @@ from brdffit.probes.published import TABLE_1, TABLE_1_SAMPLES, TABLE_3, TABLE_3_
 from brdffit.probes.reading import as_cube, read_surroundings
 from brdffit.probes.report_pictures import draw_front, draw_histories, draw_levels, draw_point_responses
 from brdffit.probes.seams import seam_ratios
-from brdffit.probes.shelf import find_environments
+from brdffit.probes.shelf import named_environments
 from brdffit.probes.split_sum import split_errors
 from brdffit.probes.table_files import load_table, shipped_tables
 from brdffit.probes.table_fit import chosen_texels
@@ -52,8 +52,8 @@ def compare_to_folder(
         OutputError: when the folder cannot be written.
     """
     threads = threads or default_threads()
-    paths = [each for source in sources for each in find_environments(source)]
-    cubes = {path.stem: as_cube(read_surroundings(path), BASE_SIZE, threads=threads) for path in paths}
+    paths = named_environments(sources)
+    cubes = {name: as_cube(read_surroundings(path), BASE_SIZE, threads=threads) for name, path in paths.items()}
     with replacing(output, _foreign) as folder:
         records: dict[str, Any] = {"brdffit": version("brdffit"), "environments": list(cubes), "quick": quick}
         records["preimages"] = preimage_tables(24 if quick else 96, tell)
@@ -66,7 +66,7 @@ def compare_to_folder(
             tell(f"{name}: look-ups")
             records["lookup"] += measure_lookups(name, cube, threads, 300 if quick else 1500)
             draw_levels(cube, folder / f"levels-{name}.png", threads)
-        records["cmgen"] = _beside_cmgen(paths, threads, 64 if quick else 256, tell)
+        records["cmgen"] = _beside_cmgen([*paths.values()], threads, 64 if quick else 256, tell)
         records["split_sum"] = split_errors(list(cubes.values()), 200 if quick else 1000, threads)
         draw_front(records["methods"], folder / "front.png")
         draw_point_responses(folder / "points.png")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
@@ -212,7 +213,7 @@ def _named(path: Path, container: str, number: int) -> str:
 
 
 def _need_cube(path: Path, faces: int, width: int, height: int) -> None:
-    if faces != 6 or width != height:
+    if faces != 6 or width != height or width == 0:
         raise InputError(f"'{path}' holds {faces} faces of {width}x{height}, expected the six square faces of a cube.")
 
 
@@ -270,7 +271,7 @@ def _read_dds(path: Path, data: bytes) -> CubeFile:
         texel_format, start = old[number], 128
     sides = [max(width >> k, 1) for k in range(max(count, 1))]
     pixels = RADIANCE_FORMATS[texel_format].pixels
-    ends = np.cumsum([pixels.level_bytes((n, n)) for n in sides])
+    ends = list(accumulate(pixels.level_bytes((n, n)) for n in sides))
     # Faces stand one after another, each with all of its levels.
     faces = [data[start + face * ends[-1] : start + (face + 1) * ends[-1]] for face in range(6)]
     chains = [b"".join(face[first:end] for face in faces) for first, end in zip([0, *ends], ends, strict=False)]

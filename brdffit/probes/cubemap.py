@@ -16,12 +16,6 @@ from numpy.typing import NDArray
 FACES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 
 
-def texel_centres(n: int) -> tuple[NDArray, NDArray]:
-    """u of each column and v of each row, both (n,)."""
-    u = (2.0 * np.arange(n) + 1.0) / n - 1.0
-    return u, -u
-
-
 def face_points(u: NDArray, v: NDArray) -> NDArray:
     """(6, ..., 3) points of the cube of half side 1 at (u, v) of every face."""
     u, v = np.broadcast_arrays(u, v)
@@ -33,8 +27,8 @@ def face_points(u: NDArray, v: NDArray) -> NDArray:
 @lru_cache(maxsize=16)
 def directions(n: int) -> NDArray:
     """(6, n, n, 3) float64 unit directions of the texel centres; read only."""
-    u, v = texel_centres(n)
-    points = face_points(u[None, :], v[:, None])
+    centre = (2.0 * np.arange(n) + 1.0) / n - 1.0
+    points = face_points(centre[None, :], -centre[:, None])
     points /= np.linalg.norm(points, axis=-1, keepdims=True)
     points.setflags(write=False)
     return points

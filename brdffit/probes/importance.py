@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.probes.downsampling import ColourPyramid, layout_of
-from brdffit.probes.kernels.importance import filter_by_importance, splat_samples
+from brdffit.probes.kernels.importance import filter_by_importance, place_samples
 from brdffit.probes.kernels.pyramid import fold_level
+from brdffit.probes.kernels.tables import TAP_FIELDS, splat_taps
 from brdffit.probes.lobe import half_angles
 from brdffit.probes.parallel import over_rows
-from brdffit.probes.tables import BASE_SIZE, Goal, texel_directions
+from brdffit.probes.tables import BASE_SIZE, Goal
 
 
 def lobe_samples(count: int, alpha: float) -> NDArray:
@@ -34,9 +35,11 @@ def lobe_samples(count: int, alpha: float) -> NDArray:
 def preimage_errors(goal: Goal, alpha: float, count: int) -> NDArray:
     """(T,) L1 between the preimage of ``count`` samples and the exact one, at the texels of a goal (Table 1)."""
     layout, samples, errors = layout_of(BASE_SIZE), lobe_samples(count, alpha), []
-    for normal, wanted in zip(texel_directions(goal.texels), goal.wanted, strict=True):
+    taps = np.empty((len(samples), TAP_FIELDS))
+    for (face, u, v), wanted in zip(goal.texels, goal.wanted, strict=True):
         flat, weights = np.zeros(layout.offsets[-1]), np.zeros((6, 1, 1))
-        total = splat_samples(samples, *normal, flat, layout.offsets, layout.sizes)
+        place_samples(samples, int(face), u, v, 4.0 / BASE_SIZE**2, taps)
+        total = splat_taps(taps, len(taps), flat, layout.offsets, layout.sizes, 0)
         for level in range(len(layout.sizes) - 1, -1, -1):
             fold_level(flat, layout.offsets[level], *layout.borders[level])
             weights = layout.interior(flat, level) + weights

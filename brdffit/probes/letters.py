@@ -63,7 +63,7 @@ def draw_faces(cube: NDArray, path: Path, title: str) -> None:
         label = f"{FACES[face]}  right {right}, up {up}"
         draw.text((x + 3, y + 2), label, fill=(255, 255, 255), font=font, stroke_width=1, stroke_fill=(0, 0, 0))
     height = _TITLE + 3 * (n + _GAP)
-    below = "seen from within: lat-long, the middle along -Z, +X a quarter to the right"
+    below = "looked up as stored: lat-long, the middle along -Z, +X a quarter to the right"
     draw.text((_GAP, height + 2), below, fill=(200, 200, 200), font=font)
     strip = toned(look_up(cube, latlong_directions(2 * n)), exposure)
     canvas.paste(Image.fromarray(strip), (_GAP, height + _TITLE))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from brdffit.colour import LUMINANCE
 from brdffit.errors import BrdffitError, InputError
-from brdffit.probes.bake import ProbeOptions, bake_probe, request_digest
+from brdffit.probes.bake import ProbeOptions, bake_probe, checked, request_digest
 from brdffit.probes.containers import read_cube_file
 from brdffit.probes.cubemap import mean_radiance
 from brdffit.probes.letters import draw_faces
@@ -45,6 +47,21 @@ def find_environments(path: Path) -> list[Path]:
     return found
 
 
+def named_environments(sources: Sequence[Path]) -> dict[str, Path]:
+    """The environments that paths stand for, by the names that their outputs take, no two the same.
+
+    Raises:
+        InputError: as ``find_environments``.
+    """
+    out: dict[str, Path] = {}
+    for path in (each for source in sources for each in find_environments(source)):
+        name = path.name if path.is_dir() else path.stem
+        while name in out:
+            name += "-2"
+        out[name] = path
+    return out
+
+
 def bake_all(
     sources: Sequence[Path], output: Path, options: ProbeOptions, threads: int | None, force: bool,
     tell: Callable[[str], None],
@@ -53,14 +70,10 @@ def bake_all(
 
     ``force`` bakes all of them; ``tell`` is called with lines for the user.
     """
-    found = [each for source in sources for each in find_environments(source)]
+    checked(options)
+    found = named_environments(sources)
     failed: list[tuple[str, BrdffitError]] = []
-    taken: set[str] = set()
-    for path in found:
-        name = path.stem if not path.is_dir() else path.name
-        while name in taken:
-            name += "-2"
-        taken.add(name)
+    for name, path in found.items():
         folder = output / name
         try:
             if not force and _is_up_to_date(folder, path, options):
@@ -79,19 +92,19 @@ def bake_all(
 
 def _is_up_to_date(folder: Path, path: Path, options: ProbeOptions) -> bool:
     try:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-        whole = all((folder / name).exists() for name in manifest["files"])
-    except (OSError, ValueError, KeyError):
+        manifest = _manifest(folder)
+    except InputError:
         return False
-    return whole and manifest.get("digest") == request_digest(path, options)
+    if not manifest or not all((folder / name).exists() for name in manifest["files"]):
+        return False
+    return manifest["digest"] == request_digest(path, options)
 
 
 def _report(folder: Path, manifest: dict) -> list[str]:
     lines = [f"{folder}"]
     for level in manifest["levels"]:
-        copied = level.get("copied", level["level"] == 0 and level["error"] == 0.0)  # older manifests do not say it
         error = f"error {level['error']:.2%}, bias {level['bias']:+.2%}"
-        if copied:
+        if level["copied"]:
             error = "copied" if level["error"] == 0.0 else f"copied, {error}"
         size = f"{level['size']}x{level['size']}"
         head = f"  level {level['level']}  {size:>9}  roughness {level['roughness']:.3f}"
@@ -101,14 +114,33 @@ def _report(folder: Path, manifest: dict) -> list[str]:
         f"  irradiance: cube errs by {irradiance['error']:.2%}, nine harmonics by {irradiance['harmonics_error']:.2%}"
     )
     if manifest["sun"]:
-        sun = manifest["sun"]
-        direction = ", ".join(f"{value:.3f}" for value in sun["direction"])
-        lines.append(
-            f"  sun towards ({direction}), radius {sun['radius_degrees']} degrees, {sun['share']:.0%} of the energy"
-        )
+        lines.append(_sun_line(**manifest["sun"]))
     lines += [f"  {note}" for note in manifest["notes"]]
     lines.append("  " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in manifest["seconds"].items()))
     return lines
+
+
+def _sun_line(direction: Sequence[float], radius_degrees: float, share: float, **_: Any) -> str:
+    towards = ", ".join(f"{value:.3f}" for value in direction)
+    return f"  sun towards ({towards}), radius {radius_degrees} degrees, {share:.0%} of the energy"
+
+
+def _manifest(folder: Path) -> dict | None:
+    """The manifest of a folder that a probe was written to; None where there is none.
+
+    Raises:
+        InputError: when it is none of a probe.
+    """
+    path = folder / "manifest.json"
+    if not path.exists():
+        return None
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"'{path}' cannot be read ({error}).") from error
+    if not isinstance(manifest, dict) or not {"specular", "irradiance"} <= set(manifest):
+        raise InputError(f"'{path}' is not the manifest of a probe, expected one that `brdffit probe` wrote.")
+    return manifest
 
 
 def draw_faces_of(path: Path, picture: Path) -> None:
@@ -117,8 +149,8 @@ def draw_faces_of(path: Path, picture: Path) -> None:
     Raises:
         InputError: when it can be read as none of them.
     """
-    if (path / "manifest.json").exists():
-        path = path / json.loads((path / "manifest.json").read_text(encoding="utf-8"))["specular"]
+    manifest = _manifest(path)
+    path = path / manifest["specular"] if manifest else path
     surroundings = read_surroundings(path, clamp=True)
     cube = as_cube(surroundings, min(surroundings.natural_size, 256))
     draw_faces(cube, picture, f"{path.name}: faces as stored")
@@ -130,8 +162,8 @@ def describe(path: Path) -> list[str]:
     Raises:
         InputError: when it can be read as none of them.
     """
-    if path.is_dir() and (path / "manifest.json").exists():
-        manifest = json.loads((path / "manifest.json").read_text(encoding="utf-8"))
+    manifest = _manifest(path)
+    if manifest:
         return [f"A probe of {manifest['source']} for {manifest['preset']['name']}.", *_report(path, manifest)]
     if path.suffix.lower() in (".ktx2", ".ktx", ".dds"):
         file = read_cube_file(path)
@@ -152,8 +184,4 @@ def describe(path: Path) -> list[str]:
         f"  mean luminance {mean:.4g}, largest {luminance.max():.4g} ({luminance.max() / max(mean, 1e-30):.0f} x)"
     )
     sun = find_sun(cube)
-    if sun:
-        lines.append(
-            f"  sun towards {sun.direction}, radius {sun.radius_degrees} degrees, {sun.share:.0%} of the energy"
-        )
-    return lines
+    return [*lines, _sun_line(**asdict(sun))] if sun else lines

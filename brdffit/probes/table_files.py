@@ -15,7 +15,7 @@ from brdffit.errors import InputError, UnknownNameError
 from brdffit.files.atomic import write_text
 from brdffit.probes.curves import get_curve
 from brdffit.probes.table_fit import LevelSearch, TableLevel, TableRequest
-from brdffit.probes.tables import BASE_SIZE
+from brdffit.probes.tables import BASE_SIZE, TERMS
 
 _SHIPPED = Path(__file__).parent / "data"
 #: Levels of a table: 128^2 to 2^2, of which level 0 is copied.
@@ -91,7 +91,11 @@ def _parsed(path: Path) -> TableFile:
             )
             for each in record["levels"]
         }
-        return TableFile(path.stem, record["curve"], levels, record["terms"], record["taps"])
+        table = TableFile(path.stem, record["curve"], levels, record["terms"], record["taps"])
+        shape = (5, TERMS[table.terms], 3 * table.taps)
+        if any(level.table.shape != shape for level in levels.values()):
+            raise ValueError(f"a level is not of shape {shape}")
+        return table
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"'{path}' is no whole table of `brdffit probe table` ({error!r}).") from error
 
@@ -111,10 +115,18 @@ def make_table(
         listener: called with a line for each step.
 
     Raises:
-        InputError: when ``output`` holds the table of another request, or there is no such curve.
+        InputError: when ``output`` holds the table of another request, there is no such curve, or ``begin_with`` is not
+            as said.
+        OutputError: when ``output`` cannot be written.
     """
     asked = {**asdict(request), "curve": curve, "base_size": BASE_SIZE}
     record = {**asked, "command": command, "versions": {n: version(n) for n in ("brdffit", "numpy", "scipy")}}
+    for table in begin_with or []:
+        if table.taps != request.taps or TERMS[table.terms] > TERMS[request.terms]:
+            raise InputError(
+                f"The table '{table.name}' has {table.taps} taps of {table.terms} terms: a search begins with as many "
+                f"taps as it has ({request.taps}) and at most as many terms ({request.terms})."
+            )
     done: list[dict] = []
     if output.exists():
         old = _read(output)
@@ -126,12 +138,14 @@ def make_table(
     else:
         alphas = get_curve(curve, LEVELS, BASE_SIZE).alphas()
         goals = {level: (BASE_SIZE >> level, alphas[level]) for level in range(1, LEVELS)}
+    # What cannot be written is told before the search.
+    write_text(output, json.dumps({**record, "levels": done}, separators=(",", ":")) + "\n")
     # Small levels come first: they take seconds and show mistakes early.
     for level in sorted(goals, reverse=True):
         if any(each["level"] == level for each in done):
             continue
         n, alpha = goals[level]
-        begin = [each.tables[level] for each in begin_with or [] if each.taps == request.taps and level in each.levels]
+        begin = [each.tables[level] for each in begin_with or [] if level in each.levels]
         found = LevelSearch(n, alpha, request, begin, listener).run()
         done.append(
             {
@@ -144,7 +158,7 @@ def make_table(
                 "table": np.round(found.table, 6).tolist(),
             }
         )
-        write_text(output, json.dumps({**record, "levels": done}, indent=None, separators=(",", ":")) + "\n")
+        write_text(output, json.dumps({**record, "levels": done}, separators=(",", ":")) + "\n")
         if listener:
             listener(f"level {level} done: {found.error:.4f} on held-out texels, {found.seconds:.0f} s")
     return _parsed(output)

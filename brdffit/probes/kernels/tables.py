@@ -133,23 +133,40 @@ def read(flat, offsets, sizes, face, u, v, level):
 
 
 @inline
-def read_trilinear(pyramids, offsets, sizes, face, u, v, below, share):
-    """Red, green and blue of flat pyramids (3, ...) at (u, v), ``share`` of them from the level after ``below``."""
-    red, green, blue = 0.0, 0.0, 0.0
-    for e in range(2):
-        part = share if e else 1.0 - share
-        m = sizes[below + e]
-        column, row, right, down = bilinear_corner(u, v, m)
-        at = offsets[below + e] + (face * (m + 2) + row) * (m + 2) + column
-        w00, w01 = part * (1.0 - right) * (1.0 - down), part * right * (1.0 - down)
-        w10, w11 = part * (1.0 - right) * down, part * right * down
-        p = pyramids[0]
-        red += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
-        p = pyramids[1]
-        green += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
-        p = pyramids[2]
-        blue += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
-    return red, green, blue
+def gather(taps, count, pyramids, offsets, sizes):
+    """Red, green and blue of flat pyramids (3, ...), read trilinearly at the taps: their weighted mean."""
+    red, green, blue, total = 0.0, 0.0, 0.0, 0.0
+    for k in range(count):
+        below, share = level_between(taps[k, TAP_LEVEL], 0, len(sizes) - 1)
+        face, u, v, weight = int(taps[k, TAP_FACE]), taps[k, TAP_U], taps[k, TAP_V], taps[k, TAP_WEIGHT]
+        total += weight
+        for e in range(2):
+            part = weight * (share if e else 1.0 - share)
+            m = sizes[below + e]
+            column, row, right, down = bilinear_corner(u, v, m)
+            at = offsets[below + e] + (face * (m + 2) + row) * (m + 2) + column
+            w00, w01 = part * (1.0 - right) * (1.0 - down), part * right * (1.0 - down)
+            w10, w11 = part * (1.0 - right) * down, part * right * down
+            p = pyramids[0]
+            red += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+            p = pyramids[1]
+            green += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+            p = pyramids[2]
+            blue += w00 * p[at] + w01 * p[at + 1] + w10 * p[at + m + 2] + w11 * p[at + m + 3]
+    return red / total, green / total, blue / total
+
+
+@kernel
+def splat_taps(taps, count, flat, offsets, sizes, base):
+    """Add the trilinear weights of the taps to levels from ``base`` on; returns the sum of the taps' weights."""
+    total = 0.0
+    for k in range(count):
+        below, share = level_between(taps[k, TAP_LEVEL], base, len(sizes) - 1)
+        face, u, v, weight = int(taps[k, TAP_FACE]), taps[k, TAP_U], taps[k, TAP_V], taps[k, TAP_WEIGHT]
+        splat(flat, offsets, sizes, face, u, v, below, weight * (1.0 - share))
+        splat(flat, offsets, sizes, face, u, v, below + 1, weight * share)
+        total += weight
+    return total
 
 
 @kernel
@@ -158,16 +175,9 @@ def preimage(flat, offsets, sizes, borders, weights, base, taps, count):
 
     ``flat`` is overwritten; the result stands in the interior of level ``base``.
     """
-    last = len(sizes) - 1
     flat[offsets[base] :] = 0.0
-    total = 0.0
-    for k in range(count):
-        below, share = level_between(taps[k, TAP_LEVEL], base, last)
-        face, u, v, weight = int(taps[k, TAP_FACE]), taps[k, TAP_U], taps[k, TAP_V], taps[k, TAP_WEIGHT]
-        splat(flat, offsets, sizes, face, u, v, below, weight * (1.0 - share))
-        splat(flat, offsets, sizes, face, u, v, below + 1, weight * share)
-        total += weight
-    for level in range(last, base, -1):
+    total = splat_taps(taps, count, flat, offsets, sizes, base)
+    for level in range(len(sizes) - 1, base, -1):
         edge, edge_source, corner, corner_source = borders[level]
         fold_level(flat, offsets[level], edge, edge_source, corner, corner_source)
         pad_level(flat, offsets[level], edge, edge_source, corner, corner_source)
@@ -256,12 +266,6 @@ def filter_by_table(table, n, first, last, pyramids, offsets, sizes, out):
         face, j = line // n, line % n
         for i in range(n):
             count = place_taps(table, face, (2.0 * i + 1.0) / n - 1.0, 1.0 - (2.0 * j + 1.0) / n, taps)
-            red, green, blue, total = 0.0, 0.0, 0.0, 0.0
-            for k in range(count):
-                below, share = level_between(taps[k, TAP_LEVEL], 0, len(sizes) - 1)
-                g, u, v, weight = int(taps[k, TAP_FACE]), taps[k, TAP_U], taps[k, TAP_V], taps[k, TAP_WEIGHT]
-                r, q, b = read_trilinear(pyramids, offsets, sizes, g, u, v, below, share)
-                total, red, green, blue = total + weight, red + weight * r, green + weight * q, blue + weight * b
-            out[face, j, i, 0] = max(red / total, 0.0)
-            out[face, j, i, 1] = max(green / total, 0.0)
-            out[face, j, i, 2] = max(blue / total, 0.0)
+            red, green, blue = gather(taps, count, pyramids, offsets, sizes)
+            # Weights may be negative.
+            out[face, j, i, 0], out[face, j, i, 1], out[face, j, i, 2] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
