@@ -69,18 +69,20 @@ main.add_command(view)
 @click.argument("source", metavar="SET", required=False)
 @click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=SCENE_HELP)
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out"), help=OUTPUT_HELP)
-@click.option("--preset", default="plain", callback=known("preset"), help="Engine that the pictures are for.")
-@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
-@click.option("--method", default="bfgs", callback=known("method"), help="See `brdffit methods`; or module:object.")
+@click.option("--preset", default="plain", callback=known("preset"), help="Pictures for this engine.")
+@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard", help="Accuracy of the fit.")
+@click.option(
+    "--method", default="bfgs", callback=known("method"), help="See `brdffit methods`; your own as module:object."
+)
 @click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
 @click.option("--lights", metavar="NAME", show_default="mixed", help=LIGHTS_HELP)
 @set_option
-@click.option("--bits", type=click.Choice(["8", "16"]), default="8", help="Of the pictures.")
-@click.option("--compress", **choice("fast", "good", "best"), show_default="good", help="Time that blocks may take.")
+@click.option("--bits", type=click.Choice(["8", "16"]), default="8", help="Bits per channel.")
+@click.option("--compress", **choice("fast", "good", "best"), show_default="good", help="Effort of compression.")
 @click.option("--no-preview", is_flag=True, help="Do not draw preview.png.")
 @click.option("--show", is_flag=True, help="Open preview.png when done; without a screen, draw it in the terminal.")
 @click.option("--levels-from", type=click.IntRange(min=1), metavar="K", help=LEVELS_FROM_HELP)
-@click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
+@click.option("--threads", type=click.IntRange(min=1), show_default="all cores", help="Worker threads.")
 @reading_options
 @click.pass_context
 def bake(
@@ -125,25 +127,33 @@ _SHARED += [each for each in bake.params if each.name in READING_OPTIONS and eac
 
 @main.command(cls=Command, params=[*_SHARED])
 @click.argument("root", type=click.Path(path_type=Path))
-@click.option("-o", "--output", default="out", metavar="FOLDER", help="Or an address that fsspec knows.")
+@click.option("-o", "--output", default="out", metavar="FOLDER", help="Folder or fsspec address, as s3://...")
 @click.option(
     "--settings",
     type=click.Path(path_type=Path),
     show_default="ROOT/library.toml",
-    help="Options of all sets, or by patterns.",
+    help="File of options, for all sets or by pattern.",
 )
-@click.option("--only", multiple=True, metavar="PATTERN", help="Only sets whose place matches, as metal/*; repeatable.")
-@click.option("--shard", callback=shard_of, metavar="I/N", help="Only the I-th of N parts, for array jobs.")
+@click.option(
+    "--only", multiple=True, metavar="PATTERN", help="Bake only sets whose path matches, as metal/*; repeatable."
+)
+@click.option("--shard", callback=shard_of, metavar="I/N", help="Bake only the I-th of N parts, for array jobs.")
 @click.option("--force", is_flag=True, help="Bake also what is up to date.")
-@click.option("--dry-run", is_flag=True, help="Say what would be baked, and why.")
-@click.option("--workers", type=click.IntRange(min=1), show_default="one a core", help="Processes.")
-@click.option("--memory", type=click.FloatRange(0, min_open=True), metavar="GIB", show_default="4/5 of the machine's")
-@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask scheduler that does the work, as tcp://host:8786.")
+@click.option("--dry-run", is_flag=True, help="List what would be baked, and why; bake nothing.")
+@click.option("--workers", type=click.IntRange(min=1), show_default="one a core", help="Number of processes.")
+@click.option(
+    "--memory",
+    type=click.FloatRange(0, min_open=True),
+    metavar="GIB",
+    show_default="4/5 of it",
+    help="Memory of all processes.",
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler that runs the bakes, as tcp://host:8786.")
 @click.pass_context
 def library(context: click.Context, root: Path, output: str, memory: float | None, **options: Any) -> None:
     """Bake every texture set below ROOT; sets that are up to date are skipped.
 
-    A run that was stopped goes on where it was. The exit code is 1 if a set failed; all others are baked.
+    A run that was stopped continues from there. The exit code is 1 if a set failed; all others are baked.
     """
     from brdffit.library.display import LibraryDisplay, print_plan, print_summary
     from brdffit.library.run import run_library
@@ -163,18 +173,29 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
 @main.command(cls=Command)
 @click.argument("sources", metavar="SET...", nargs=-1)
 @click.option("-o", "--output", type=click.Path(path_type=Path), show_default="report", help="Folder of the report.")
-@click.option("--methods", multiple=True, metavar="A,B,...", show_default="all", help="See `brdffit methods`.")
-@click.option("--quick", is_flag=True, help="A look: small pictures, few samples, draft fit.")
-@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
-@click.option("--environment", metavar="FILE", show_default="procedural", help="Equirectangular .hdr or .exr picture.")
+@click.option(
+    "--methods", multiple=True, metavar="A,B,...", show_default="all", help="See `brdffit methods`; repeatable."
+)
+@click.option("--quick", is_flag=True, help="For a first look: small pictures, few samples, draft fit.")
+@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard", help="Accuracy of the fit.")
+@click.option(
+    "--environment", metavar="FILE", show_default="procedural", help="Light: an equirectangular .hdr or .exr."
+)
 @click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
 @set_option
-@click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no picture depends on it.")
-@click.option("--from", "records", metavar="FILE", help="Draw the page of this records.json anew; computes nothing.")
+@click.option("--threads", type=click.IntRange(min=1), show_default="all cores", help="Worker threads.")
+@click.option("--from", "records", metavar="FILE", help="Draw the page again from this records.json.")
 @click.option("--scene", "scene_file", type=click.Path(path_type=Path), metavar="FILE", help=SCENE_HELP)
-@click.option("--truth", **choice("maps", "microgeometry"), show_default="maps", help="The maps, or the height traced.")
-@click.option("--bounces", type=click.IntRange(min=0), default=1, help="Of light on a traced height.")
-@click.option("--through-probe", metavar="ENGINE", help="Light also as this engine does, see `brdffit probe --for`.")
+@click.option(
+    "--truth",
+    **choice("maps", "microgeometry"),
+    show_default="maps",
+    help="Compare with the maps, or with the traced height.",
+)
+@click.option("--bounces", type=click.IntRange(min=0), default=1, help="Bounces of light on a traced height.")
+@click.option(
+    "--through-probe", metavar="ENGINE", help="Light by a probe too, for this engine (`brdffit probe --for`)."
+)
 @reading_options
 @click.pass_context
 def compare(
@@ -182,7 +203,7 @@ def compare(
     scene_file: Path | None, truth: str | None, bounces: int, through_probe: str | None, assigned: dict[str, str],
     **asked: Any,
 ) -> None:  # fmt: skip
-    """Bake each SET by every method, hold them against the reference, and write a report."""
+    """Bake each SET by every method, compare the results with a reference, and write a report."""
     from brdffit.comparison.console import compare_to_folder, print_summary, redraw
     from brdffit.comparison.options import CompareOptions
 
@@ -217,7 +238,9 @@ def compare(
 @click.option("--level", type=click.IntRange(min=0), default=3, help="MIP level of the texel.")
 @click.option("--texel", default="0,0", callback=texel_of, metavar="X,Y", help="Column and row in that level.")
 @click.option("--model", default="ggx", callback=known("model"), help="See `brdffit models`.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("landscape.svg"), help=".svg or .png")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), default=Path("landscape.svg"), help="Picture, .svg or .png."
+)
 @reading_options
 def landscape(source: str, level: int, texel: tuple[int, int], model: str, output: Path, **reading: Any) -> None:
     """Draw the error of one texel over roughness and normal, and the path that the optimiser took."""
@@ -231,7 +254,7 @@ def landscape(source: str, level: int, texel: tuple[int, int], model: str, outpu
 @reading_options
 @click.pass_context
 def inspect(context: click.Context, source: str, **options: Any) -> None:
-    """Say what was found in SET, and what looks wrong.
+    """Print what was found in SET, and what looks wrong.
 
     SET is a folder of textures, or a .gltf, .glb or .mtlx file. The exit code is 1 if it cannot be baked as it is.
     """
@@ -247,8 +270,8 @@ def inspect(context: click.Context, source: str, **options: Any) -> None:
 
 @main.command()
 @click.argument("sources", metavar="SET...", nargs=-1, required=True)
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("tradeoff"), help="Folder to write.")
-@click.option("--quick", is_flag=True, help="Few texels: a minute a set, and figures that wobble.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("tradeoff"), help="Folder to write to.")
+@click.option("--quick", is_flag=True, help="Measure few texels: a minute per set, noisier figures.")
 def tradeoff(sources: tuple[str, ...], output: Path, quick: bool) -> None:
     """Measure what accuracy costs in time: every method, model, preset and optimiser on the same texels.
 
@@ -262,14 +285,14 @@ def tradeoff(sources: tuple[str, ...], output: Path, quick: bool) -> None:
 
 @main.command()
 @click.argument("source", metavar="SET")
-@click.option("--manifest", metavar="FILE", help="Of a bake of SET: its options and statuses instead of a sample's.")
-@click.option("--json", "as_json", is_flag=True, help="Everything that was found, as JSON.")
-@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
+@click.option("--manifest", metavar="FILE", help="Manifest of a bake of SET, to be used instead of a sample fit.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything that was found as JSON.")
+@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard", help="Accuracy of the fit.")
 @click.option("--model", callback=known("model"), show_default="ggx", help="See `brdffit models`.")
-@click.option("--specular", **choice("free", "held"), show_default="free", help="Scale of the lobe.")
+@click.option("--specular", **choice("free", "held"), show_default="free", help="Fit or hold the lobe's colour.")
 @reading_options
 def doctor(source: str, manifest: str | None, as_json: bool, **asked: Any) -> None:
-    """Say which hard cases SET holds, where, and what a bake does about them."""
+    """Print which hard cases SET holds, where, and what a bake does about them."""
     from brdffit.console import BakeDisplay, print_diagnosis
     from brdffit.doctor import diagnose
 
@@ -282,14 +305,14 @@ def doctor(source: str, manifest: str | None, as_json: bool, **asked: Any) -> No
 
 @main.group()
 def scene() -> None:
-    """Scenes: who looks at which surfaces, from where and under which light."""
+    """Write scene files: cameras, surfaces, distances and lights that a bake is planned for."""
 
 
 @scene.command()
 @click.argument("file", type=click.Path(path_type=Path), default=Path("scene.toml"))
 @click.option("--force", is_flag=True, help="Replace FILE if it is there.")
 def init(file: Path, force: bool) -> None:
-    """Write a scene file with every default and a word on it, to be changed by hand.
+    """Write a scene file with every default and a comment on it, to be changed by hand.
 
     It names the texture sets below the current folder; FILE is scene.toml unless told otherwise.
     """
@@ -303,13 +326,15 @@ def init(file: Path, force: bool) -> None:
 
 @main.command()
 @click.argument("file", metavar="SCENE", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("plan.json"), help="The plan, as JSON.")
-@click.option("--sets", type=click.Path(path_type=Path), metavar="ROOT", help="Every set below ROOT as its surface.")
-@click.option("--short", is_flag=True, help="One line a surface.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the texels and directions that are sampled.")
-@click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no verdict depends on it.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), default=Path("plan.json"), help="Plan to write, as JSON."
+)
+@click.option("--sets", type=click.Path(path_type=Path), metavar="ROOT", help="Plan for every set below ROOT in turn.")
+@click.option("--short", is_flag=True, help="Print one line per surface.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the sampled texels and directions.")
+@click.option("--threads", type=click.IntRange(min=1), show_default="all cores", help="Worker threads.")
 def plan(file: Path, output: Path, sets: Path | None, short: bool, seed: int, threads: int | None) -> None:
-    """Say what SCENE calls for: levels and effects of each surface, why, and what they cost.
+    """Print which levels and effects each surface of SCENE needs, why, and what they cost.
 
     Effects are measured on a few texels and directions; nothing is baked.
     """

@@ -7,11 +7,11 @@ from typing import Any
 
 import click
 
-OUTPUT_HELP = "Folder to write into; the set gets one of its own name there."
+OUTPUT_HELP = "Folder to write to; a set gets a subfolder there."
 SCENE_HELP = "Instead of SET: every surface of this scene, as its plan says; see `brdffit plan`."
-LEVELS_FROM_HELP = "SET is a very large height map: its level K becomes level 0, the rest roughness."
-LIGHTS_HELP = "To look right under: point, sun, lamp, window, sky, mixed, or radii in degrees."
-SET_HELP = "Any other option of the method, see `brdffit methods NAME`; repeatable."
+LEVELS_FROM_HELP = "Start at level K of a very large height map; finer relief becomes roughness."
+LIGHTS_HELP = "Lights to fit for: point, sun, lamp, window, sky, mixed, or radii in degrees."
+SET_HELP = "Another option of the method, see `brdffit methods NAME`; repeatable."
 
 #: Flags that left for ``--set``, each with how it is said now.
 MOVED = {
@@ -93,20 +93,23 @@ def texel_of(ctx: click.Context, parameter: click.Parameter, text: str) -> tuple
 def reading_options(command: Callable) -> Callable:
     """Options that say how a set is read."""
     for option in (
-        click.option("--height-scale", type=float, metavar="TEXELS", help="Texels between heights 0 and 1."),
-        click.option("--material", metavar="NAME", help="Of a file that holds several; else the one that is used."),
-        click.option("--denoise-normals", is_flag=True, help="Read a map that only dithers between codes as flat."),
-        click.option("--wrap", **choice("tile", "clamp"), show_default="as the file says, or tile"),
+        click.option("--height-scale", type=float, metavar="TEXELS", help="Height of white over black, in texels."),
+        click.option("--material", metavar="NAME", help="Name of a material, if the file has several."),
+        click.option("--denoise-normals", is_flag=True, help="Remove noise of 8-bit codes from normals."),
         click.option(
-            "--normal-y", type=click.Choice(["gl", "dx"]), help="Of the normal map; else told by names or slopes."
+            "--wrap",
+            **choice("tile", "clamp"),
+            show_default="as the file says, or tile",
+            help="What is beyond the borders.",
         ),
+        click.option("--normal-y", **choice("gl", "dx"), help="Green of normals points up (gl) or down (dx)."),
         click.option(
             "--role",
             "roles",
             multiple=True,
             callback=roles_of,
             metavar="ROLE=FILE",
-            help="What a file is, as roughness=r.png; repeatable.",
+            help="A file's role, as roughness=r.png; repeatable.",
         ),
     ):
         command = option(command)

@@ -20,10 +20,10 @@ def learn() -> None:
 
 
 def _options(command: Callable[..., None]) -> Callable[..., None]:
-    command = training_options("weights.npz", "20", "Of weights, data and batches.")(command)
+    command = training_options("weights.npz", "20", "Seed of weights, data and batches.")(command)
     command = click.option(
         "--held-out", multiple=True, type=click.Path(path_type=Path, exists=True), metavar="SET",
-        help="A set to judge by and never to train on; repeatable.",
+        help="Set to judge by, never trained on; repeatable.",
     )(command)  # fmt: skip
     return click.argument("sources", metavar="SET...", nargs=-1, required=True, type=click.Path(path_type=Path))(
         command
@@ -33,7 +33,7 @@ def _options(command: Callable[..., None]) -> Callable[..., None]:
 @learn.command()
 @_options
 def learned(**asked: Any) -> None:
-    """Train corrections of the closed form on SETs."""
+    """Train the method `learned` on SETs: corrections of the closed form."""
     from brdffit.learned.residual_training import ResidualTask
 
     _train(ResidualTask, **asked)
@@ -50,7 +50,7 @@ def learned(**asked: Any) -> None:
 )  # fmt: skip
 @_options
 def latent(loss: str, form: str, **asked: Any) -> None:
-    """Train encoders and decoders of a filterable code on SETs (Kemppinen et al. 2023)."""
+    """Train the method `latent` on SETs: encoders and decoders of a filterable code (Kemppinen et al. 2023)."""
     from functools import partial
 
     from brdffit.learned.latent_training import LatentTask
@@ -61,7 +61,7 @@ def latent(loss: str, form: str, **asked: Any) -> None:
 @learn.command()
 @_options
 def mipnet(**asked: Any) -> None:
-    """Train a network from four texels to one on SETs (after Gauthier et al. 2022)."""
+    """Train the method `mipnet` on SETs: a network from four texels to one (after Gauthier et al. 2022)."""
     from brdffit.learned.mipnet_training import MipnetTask
 
     _train(MipnetTask, **asked)
@@ -83,13 +83,13 @@ def _train(
 
 
 @learn.command()
-@click.option("--methods", default=_JUDGED, show_default=True, help="Rows, by commas.")
-@click.option("--texels", type=click.IntRange(min=1), default=48, show_default=True, help="Random texels of a level.")
+@click.option("--methods", default=_JUDGED, show_default=True, help="Separated by commas.")
+@click.option("--texels", type=click.IntRange(min=1), default=48, show_default=True, help="Random texels per level.")
 @click.option("--model", default="ggx", show_default=True, help="Lobe model of the levels.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the rows as JSON too.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Also write the rows as JSON.")
 @click.argument("sources", metavar="SET...", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 def judge(sources: tuple[Path, ...], methods: str, texels: int, model: str, output: Path | None) -> None:
-    """Half-angle SNR in dB of methods on SETs, levels 1 to 5; fair only on sets that no training has seen."""
+    """Print the half-angle SNR of methods on SETs, in dB; only sets that were not trained on are fair."""
     import dataclasses
     import json
 

@@ -20,13 +20,17 @@ def training_options(output: str, minutes: str, seed: str) -> Callable[[Callable
 
     def add(command: Callable[..., None]) -> Callable[..., None]:
         for option in (
-            click.option("--resume", is_flag=True, help="Go on from the checkpoint beside the output."),
+            click.option("--resume", is_flag=True, help="Continue from the checkpoint beside the output."),
             click.option("--seed", type=click.IntRange(min=0), default=0, help=seed),
-            click.option("--steps", type=click.IntRange(min=1), help="Instead of minutes: same seed, same weights."),
             click.option(
-                "--minutes", type=click.FloatRange(0, min_open=True), show_default=minutes, help="Of training."
+                "--steps", type=click.IntRange(min=1), help="Steps instead of minutes: reproducible by the seed."
             ),
-            click.option("-o", "--output", type=click.Path(path_type=Path), default=Path(output)),
+            click.option(
+                "--minutes", type=click.FloatRange(0, min_open=True), show_default=minutes, help="Minutes of training."
+            ),
+            click.option(
+                "-o", "--output", type=click.Path(path_type=Path), default=Path(output), help="File to write."
+            ),
         ):
             command = option(command)
         return command

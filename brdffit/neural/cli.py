@@ -20,12 +20,12 @@ def neural() -> None:
 
 @neural.command()
 @click.argument("source", metavar="SET", type=click.Path(path_type=Path))
-@training_options("material.npz", "10", "Of weights, queries and batches.")
+@training_options("material.npz", "10", "Seed of weights, queries and batches.")
 @click.option("--size", type=int, default=128, help="Texels of the longer side of level 0, a power of two.")
-@click.option("--paper", is_flag=True, help="Exactly as the paper, instead of what was found to be better.")
-@click.option("--no-offset", is_flag=True, help="Without the learned parallax offset.")
-@click.option("--bounces", type=click.IntRange(0, 16), default=0, help="How often light goes from surface to surface.")
-@click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
+@click.option("--paper", is_flag=True, help="Train exactly as the paper does, without our changes.")
+@click.option("--no-offset", is_flag=True, help="Leave out the learned parallax offset.")
+@click.option("--bounces", type=click.IntRange(0, 16), default=0, help="Bounces of light between surfaces.")
+@click.option("--threads", type=click.IntRange(min=1), show_default="all cores", help="Worker threads.")
 @reading_options
 def train(
     source: Path, output: Path, size: int, minutes: float | None, steps: int | None, paper: bool, no_offset: bool,
@@ -53,7 +53,13 @@ def train(
 @neural.command()
 @_FILE
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out"), help="Folder of the sheet.")
-@click.option("--truth", type=click.Path(path_type=Path), metavar="SET", show_default="what it was learned from")
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    metavar="SET",
+    show_default="what it was learned from",
+    help="To compare with.",
+)
 def render(file: Path, output: Path, truth: Path | None) -> None:
     """Draw a contact sheet of all levels at 45 degrees, beside the truth and their difference."""
     from brdffit.neural.material import read_material
@@ -73,7 +79,7 @@ def render(file: Path, output: Path, truth: Path | None) -> None:
 @neural.command()
 @_FILE
 def info(file: Path) -> None:
-    """Say what MATERIAL.npz holds, what it was learned from, and how well."""
+    """Print what MATERIAL.npz holds, what it was learned from, and how well."""
     from brdffit.neural.material import read_material
     from brdffit.neural.source import describe
 

@@ -14,7 +14,7 @@ PRESET_NAMES = (
 FORMAT_NAMES = ("rgba16f", "rgba32f", "rgb9e5", "r11g11b10f", "bc6h")
 METHOD_NAMES = ("tree", "brute", "table", "importance", "sh")
 LAYOUT_NAMES = ("latlong", "horizontal-cross", "vertical-cross", "strip", "column")
-_THREADS = click.option("--threads", type=click.IntRange(min=1), help="Else all cores; no result depends on it.")
+_THREADS = click.option("--threads", type=click.IntRange(min=1), show_default="all cores", help="Worker threads.")
 
 
 class _Probe(click.Group):
@@ -42,27 +42,42 @@ def probe() -> None:
 
 @probe.command("filter")
 @click.argument("sources", metavar="ENV...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("out/probes"), help="Folder of folders.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), default=Path("out/probes"), help="Each probe gets a subfolder."
+)
 @click.option("--for", "preset", type=click.Choice(PRESET_NAMES), default="plain", help="Engine that loads the files.")
 @click.option("--tolerance", type=float, default=0.01, help="Relative L1 error that each level may have.")
 @click.option("--size", type=int, show_default="as the preset", help="Texels along a face of level 0.")
-@click.option("--levels", type=int, show_default="as the preset", help="How many, level 0 counted.")
-@click.option("--curve", show_default="as the preset", help="Roughness of levels: a name, or r0,r1,... of each.")
-@click.option("--format", "texel_format", type=click.Choice(FORMAT_NAMES), show_default="as the preset")
-@click.option("--method", type=click.Choice(METHOD_NAMES), default="tree", help="How levels are filtered.")
-@click.option("--samples", type=click.IntRange(min=1), default=1024, help="Of --method importance.")
-@click.option("--order", type=click.IntRange(1, 64), default=11, help="Of --method sh.")
-@click.option("--table", default="ggx-const-8", help="Of --method table: a shipped one or a file.")
-@click.option("--split", type=click.FloatRange(min=1.0), metavar="X", help="Take out what is X times the mean.")
-@click.option("--level0", type=click.Choice(["copy", "filter"]), default="copy", help="A mirror, or filtered too.")
-@click.option("--keep-narrow", is_flag=True, help="Sample lobes narrower than a texel at its centre only.")
+@click.option("--levels", type=int, show_default="as the preset", help="Number of levels, with level 0.")
+@click.option("--curve", show_default="as the preset", help="Roughness of each level: a name, or r0,r1,...")
 @click.option(
-    "--fit", type=click.Choice(["texels", "lookup"]), default="texels", help="lookup: for trilinear look-ups."
+    "--format", "texel_format", type=click.Choice(FORMAT_NAMES), show_default="as the preset", help="Of texels."
 )
-@click.option("--rotate", type=float, default=0.0, metavar="DEG", help="About +Y, from +X towards -Z.")
-@click.option("--layout", type=click.Choice(LAYOUT_NAMES), show_default="guessed from the shape")
+@click.option("--method", type=click.Choice(METHOD_NAMES), default="tree", help="How levels are filtered.")
+@click.option("--samples", type=click.IntRange(min=1), default=1024, help="Samples a texel of --method importance.")
+@click.option("--order", type=click.IntRange(1, 64), default=11, help="Order of the harmonics of --method sh.")
+@click.option("--table", default="ggx-const-8", help="For --method table: a shipped one or a file.")
 @click.option(
-    "--centre", type=click.Choice(["-z", "+x", "+z", "-x"]), show_default="as the preset", help="Of a lat-long picture."
+    "--split",
+    type=click.FloatRange(min=1.0),
+    metavar="X",
+    help="Filter light above X times the mean apart.",
+)
+@click.option("--level0", type=click.Choice(["copy", "filter"]), default="copy", help="Copy the input or filter it.")
+@click.option("--keep-narrow", is_flag=True, help="Filter narrow lobes at texel centres, not over texels.")
+@click.option(
+    "--fit",
+    type=click.Choice(["texels", "lookup"]),
+    default="texels",
+    help="Minimise the error of texels or of trilinear look-ups.",
+)
+@click.option("--rotate", type=float, default=0.0, metavar="DEG", help="Turn about +Y, from +X towards -Z.")
+@click.option("--layout", type=click.Choice(LAYOUT_NAMES), show_default="guessed from the shape", help="Of the input.")
+@click.option(
+    "--centre",
+    type=click.Choice(["-z", "+x", "+z", "-x"]),
+    show_default="as the preset",
+    help="Direction at the centre of a lat-long picture.",
 )
 @click.option("--clamp", is_flag=True, help="Set negative values to 0 and infinite ones to the largest.")
 @click.option("--scale", is_flag=True, help="Scale radiance beyond the format down instead of clamping it.")
@@ -74,7 +89,7 @@ def filter_(
     context: click.Context, sources: tuple[Path, ...], output: Path, no_picture: bool, force: bool, threads: int | None,
     **asked: Any,
 ) -> None:  # fmt: skip
-    """Filter each ENV to a stated error: levels, irradiance, the table of the split sum, a manifest, a picture.
+    """Filter each ENV to a stated error, and write levels, irradiance, a split-sum table, a manifest, a picture.
 
     ENV is a lat-long picture, a cross, a strip, a KTX2 or DDS cube map, a folder of six faces, a folder of any of
     these, `procedural` for the one that ships, or `letters` for faces that bear their names, by which an engine shows
@@ -93,9 +108,11 @@ def filter_(
 
 @probe.command()
 @click.argument("source", metavar="FILE", type=click.Path(path_type=Path))
-@click.option("-o", "--faces", type=click.Path(path_type=Path), help="Picture of the faces, each with its name.")
+@click.option(
+    "-o", "--faces", type=click.Path(path_type=Path), help="Also write a picture of the faces with their names."
+)
 def inspect(source: Path, faces: Path | None) -> None:
-    """Say what FILE holds: an environment, or a folder or file that a probe was written to."""
+    """Print what FILE holds: an environment, or a folder or file that a probe was written to."""
     from brdffit.probes.shelf import describe, draw_faces_of
 
     for line in describe(source):
@@ -108,32 +125,40 @@ def inspect(source: Path, faces: Path | None) -> None:
 @probe.command()
 @click.argument("sources", metavar="ENV...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("report"), help="Folder of the report.")
-@click.option("--quick", is_flag=True, help="Fewer texels: figures wobble by a few percent.")
+@click.option("--quick", is_flag=True, help="Measure fewer texels: figures vary by a few percent.")
 @_THREADS
 def compare(sources: tuple[Path, ...], output: Path, quick: bool, threads: int | None) -> None:
-    """Hold all methods against brute force and the paper's tables, on each ENV, and write a page."""
+    """Compare all methods with brute force and the paper's tables on each ENV, and write a page."""
     from brdffit.probes.compare import compare_to_folder
 
     click.echo(f"See {compare_to_folder(sources, output, quick, threads, click.echo)}")
 
 
 @probe.command()
-@click.option("--taps", type=click.IntRange(1, 64), default=8, help="Trilinear reads of each frame.")
-@click.option("--terms", type=click.Choice(["const", "quadratic", "quartic"]), default="const", help="Polynomials.")
-@click.option("--curve", default="activision", help="Roughness of seven levels, or irradiance.")
+@click.option("--taps", type=click.IntRange(1, 64), default=8, help="Trilinear reads per frame.")
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), default=Path("table.json"), help="Gone on with if there."
+    "--terms", type=click.Choice(["const", "quadratic", "quartic"]), default="const", help="Polynomials of the taps."
 )
-@click.option("--starts", type=click.IntRange(min=1), default=48, help="Importance-sampled starts a level.")
-@click.option("--texels", type=click.IntRange(min=1), default=32, help="That a search looks at.")
-@click.option("--seed", type=click.IntRange(min=0), default=0)
-@click.option("--begin-with", multiple=True, metavar="TABLE", help="A table with fewer terms to start from besides.")
-@click.option("--paper", is_flag=True, help="The paper's own optimiser: one start, differences, golden sections. Slow.")
+@click.option("--curve", default="activision", help="Curve of roughness, or `irradiance`.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("table.json"),
+    help="Table to write; an existing one is continued.",
+)
+@click.option("--starts", type=click.IntRange(min=1), default=48, help="Importance-sampled starts per level.")
+@click.option("--texels", type=click.IntRange(min=1), default=32, help="Texels that a search measures.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of starts and texels.")
+@click.option(
+    "--begin-with", multiple=True, metavar="TABLE", help="Also start from a table of fewer terms; repeatable."
+)
+@click.option("--paper", is_flag=True, help="Use the paper's optimiser: one start, golden sections. Slow.")
 def table(
     taps: int, terms: str, curve: str, output: Path, starts: int, texels: int, seed: int, begin_with: tuple[str, ...],
     paper: bool,
 ) -> None:  # fmt: skip
-    """Optimise a table of the second pass of Manson and Sloan 2016, on one core; resumes level by level."""
+    """Optimise a table for `--method table` (Manson and Sloan 2016, second pass), on one core."""
     from brdffit.probes.report_pictures import draw_histories
     from brdffit.probes.table_files import load_table, make_table
     from brdffit.probes.table_fit import TableRequest

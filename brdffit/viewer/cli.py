@@ -13,10 +13,12 @@ from brdffit.cli_options import choice, known, reading_options
 @click.command()
 @click.argument("source", metavar="SET_OR_BAKE")
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("view.html"), help="The page.")
-@click.option("--methods", multiple=True, metavar="A,B,...", show_default="bfgs", help="One panel each.")
-@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard")
-@click.option("--preset", callback=known("preset"), help="Show also what this engine gets after compression.")
-@click.option("--environment", metavar="FILE", show_default="drawn by the page", help="Equirectangular .hdr or .exr.")
+@click.option("--methods", multiple=True, metavar="A,B,...", show_default="bfgs", help="Methods to show, a panel each.")
+@click.option("--quality", **choice("draft", "standard", "fine"), show_default="standard", help="Accuracy of the fit.")
+@click.option("--preset", callback=known("preset"), help="Also show the compressed textures of this engine.")
+@click.option(
+    "--environment", metavar="FILE", show_default="drawn by the page", help="Light: an equirectangular .hdr or .exr."
+)
 @click.option("--open", "show", is_flag=True, help="Open the page when done.")
 @reading_options
 def view(
