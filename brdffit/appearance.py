@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.roughness import tensor_from_log
-from brdffit.svbrdf import Svbrdf
+from brdffit.svbrdf import Svbrdf, unit_or_up
 
 
 class Lookups(NamedTuple):
@@ -157,11 +157,8 @@ class LobePyramid:
     def look_up(self, lookups: Lookups) -> Lobes:
         """The trilinear value for each pixel."""
         values = trilinear(self.images, lookups, self.base_size, self.levels[0].wrap)
-        normal = values[:, :3]
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        normal = np.where(length > 1e-6, normal / np.maximum(length, 1e-6), np.array([0.0, 0.0, 1.0], np.float32))
         shape = values[:, 12] if values.shape[1] > 12 else None
-        return Lobes(normal, values[:, 3:6], values[:, 6:9], values[:, 9:12], shape)
+        return Lobes(unit_or_up(values[:, :3]), values[:, 3:6], values[:, 6:9], values[:, 9:12], shape)
 
     def evaluate(self, texels: Lobes, view: NDArray, light: NDArray) -> NDArray:
         """See ``Appearance``."""

@@ -143,3 +143,9 @@ def level_sizes(size: tuple[int, int], levels: int | None = None) -> list[tuple[
         height, width = max(1, height // 2), max(1, width // 2)
         sizes.append((height, width))
     return sizes if levels is None else sizes[:levels]
+
+
+def unit_or_up(normal: NDArray) -> NDArray:
+    """Averaged normals (..., 3) float32 at unit length; (0, 0, 1) where nothing is left of them."""
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.where(length > 1e-6, normal / np.maximum(length, 1e-6), np.array([0.0, 0.0, 1.0], np.float32))

@@ -9,7 +9,6 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from brdffit.errors import UnknownNameError
 from brdffit.svbrdf import level_sizes
 
 #: Bytes of one level, by its number: a writer asks for levels one after another, so that it holds a single one.
@@ -111,18 +110,6 @@ _FORMATS = (
     PixelFormat("uastc_rgba_srgb", 0, None, 1, 4, 16, True, 166, (_block(3),), 4),
 )
 FORMATS = {each.name: each for each in _FORMATS}
-
-
-def get_format(name: str, container: str = "ktx2") -> PixelFormat:
-    """The pixel format of this name.
-
-    Raises:
-        UnknownNameError: where the container has no such format, with the nearest one that it has.
-    """
-    known = [each.name for each in _FORMATS if container != "dds" or each.dxgi is not None]
-    if name not in known:
-        raise UnknownNameError(f"{container} format", name, known)
-    return FORMATS[name]
 
 
 def chain(size: tuple[int, int], count: int | None = None) -> list[tuple[int, int]]:

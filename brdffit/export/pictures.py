@@ -36,7 +36,7 @@ from brdffit.files.image_io import write_mip_exr, write_png
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.methods import Pyramid
 from brdffit.roughness import log_from_tensor, tensor_from_log
-from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.svbrdf import Svbrdf, level_sizes, unit_or_up
 
 #: The manifest's record of a picture, and for a GLB the bytes of its KTX2 file.
 _Made = tuple[dict[str, Any], bytes]
@@ -341,9 +341,7 @@ def full_chain(levels: Sequence[Svbrdf]) -> list[Svbrdf]:
             averaged[name] = (
                 log_from_tensor(found) if name == "log_roughness" else found.reshape(*size, *array.shape[2:])
             )
-        length = np.linalg.norm(averaged["normal"], axis=-1, keepdims=True)
-        up = np.array([0.0, 0.0, 1.0], np.float32)
-        averaged["normal"] = np.where(length > 1e-6, averaged["normal"] / np.maximum(length, 1e-6), up)
+        averaged["normal"] = unit_or_up(averaged["normal"])
         levels.append(last.replace(**averaged))
     return levels
 

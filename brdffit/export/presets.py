@@ -12,9 +12,6 @@ from dataclasses import dataclass
 
 from brdffit.methods import one_of
 
-#: File formats of presets. "png" writes one file a level, the others all levels into one.
-CONTAINERS = ("png", "exr", "dds", "ktx2", "glb")
-
 
 @dataclass(frozen=True)
 class Picture:
@@ -48,7 +45,7 @@ class Preset:
         lobe: "anisotropic", or "isotropic" where the engine has none (then the bake fits isotropic lobes).
         specular: "free", or "held" where the pictures have no room for a specular scale (metallic-roughness).
         pictures: the files.
-        container: one of CONTAINERS.
+        container: "png" (a file a level), or "exr", "dds", "ktx2" or "glb" (all levels in one).
         zstd: level of Zstandard in KTX2 files, or None.
         beside: what else is written: "unity" (.meta files), "documents" (.mtlx and .usda), or "".
         factors: whether a material is written whose factors multiply its pictures, see `factors`.

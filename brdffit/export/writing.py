@@ -23,7 +23,7 @@ from brdffit.files.image_io import file_sha256, write_mip_exr, write_png
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.methods import Baked, Image
 from brdffit.probes.presets import probe_of_materials
-from brdffit.svbrdf import level_sizes
+from brdffit.svbrdf import level_sizes, unit_or_up
 
 #: EXR files that are written at the same time.
 _FILES_AT_ONCE = 2
@@ -156,15 +156,9 @@ def _write_exr_file(image: Image, fresh: Path, wrap: str, count: Count) -> None:
     levels = [_whole_level(image, k) for k in range(len(image.sizes))]
     for size in level_sizes(image.sizes[0])[len(levels) :]:
         averaged = filter_channels(levels[-1], size, get_pixel_filter("box"), wrap)
-        levels.append(_normalised(averaged) if image.unit else averaged)
+        levels.append(unit_or_up(averaged) if image.unit else averaged)
     write_mip_exr(fresh / f"{image.name}.exr", levels, image.channels)
     count.one_done()
-
-
-def _normalised(normal: NDArray) -> NDArray:
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    up = np.array([0.0, 0.0, 1.0], np.float32)
-    return np.where(length > 1e-6, normal / np.maximum(length, 1e-6), up).astype(np.float32)
 
 
 def _whole_level(image: Image, mip_level: int) -> NDArray:

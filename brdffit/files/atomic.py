@@ -112,7 +112,7 @@ def replacing(folder: str | Path, is_ours: Callable[[Path], str | None]) -> Iter
         folder.parent.mkdir(parents=True, exist_ok=True)
         sweep(folder)
         fresh = _sibling(folder, "new")
-        with _terminated_as_exit():
+        with terminated_as_exit():
             try:
                 fresh.mkdir()
                 with _locked(fresh):
@@ -208,7 +208,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _terminated_as_exit() -> Iterator[None]:
+def terminated_as_exit() -> Iterator[None]:
     """Let SIGTERM unwind the stack as an interrupt does, unless the program has its own handler."""
     if (
         threading.current_thread() is not threading.main_thread()

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from brdffit.errors import InputError
-from brdffit.files.image_io import read_info
 from brdffit.textures.naming import LETTERS, NamedSet, name_tokens, roles_from_names
+from brdffit.textures.reading import has_alpha
 
 #: Tiles are numbered 1001 + u + 10 v. After an underscore the number may be a resolution, so it needs other tiles
 #: beside it.
@@ -91,7 +90,7 @@ def named_with_alpha(folder: Path, images: Sequence[str]) -> NamedSet:
     named = roles_from_names(images)
     if _SURFACE & named.maps.keys() and not named.rivals:
         return named
-    return roles_from_names(images, [file for file in images if _has_alpha(folder / file)])
+    return roles_from_names(images, [file for file in images if has_alpha(folder / file)])
 
 
 def named_group(folder: Path, files: Sequence[str], udim: int | None) -> NamedSet:
@@ -99,17 +98,10 @@ def named_group(folder: Path, files: Sequence[str], udim: int | None) -> NamedSe
     if udim is None:
         return named_with_alpha(folder, files)
     renamed = {(tile_of(file) or (file,))[0]: file for file in files}
-    alpha = [name for name, file in renamed.items() if _has_alpha(folder / file)]
+    alpha = [name for name, file in renamed.items() if has_alpha(folder / file)]
     named = roles_from_names(renamed, alpha)
     maps = {role: replace(each, file=renamed[each.file]) for role, each in named.maps.items()}
     return NamedSet(maps, [renamed[file] for file in named.ignored], named.notes, named.rivals)
-
-
-def _has_alpha(path: Path) -> bool:
-    try:
-        return len(read_info(path).channels) in (2, 4)
-    except InputError:
-        return False
 
 
 def _alone(folder: Path, images: list[str]) -> list[Group]:

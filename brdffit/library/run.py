@@ -5,16 +5,16 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, Protocol
 
 from brdffit.errors import BrdffitError, InputError
+from brdffit.files.atomic import terminated_as_exit
 from brdffit.library.bake import open_set, warm_up
 from brdffit.library.discovery import find_sets
 from brdffit.library.page import write_page
@@ -123,7 +123,7 @@ def run_library(
     address = os.fspath(output) if "://" in os.fspath(output) else str(Path(output).resolve())
     store = open_store(address)
     tell = listener or _Silent()
-    with _terminated_as_exit():
+    with terminated_as_exit():
         tell.phase("looking")
         if not dry_run:
             store.sweep()
@@ -250,21 +250,3 @@ class _Silent:
     def phase(self, name: str) -> None: ...
     def planned(self, plan: Plan) -> None: ...
     def finished(self, outcome: Outcome, sizes: Mapping[str, tuple[int, int]]) -> None: ...
-
-
-@contextlib.contextmanager
-def _terminated_as_exit() -> Iterator[None]:
-    """Let SIGTERM unwind the stack as an interrupt does, so that workers end with the run."""
-
-    def leave(number: int, _frame: object) -> NoReturn:
-        raise SystemExit(128 + number)
-
-    try:
-        before = signal.signal(signal.SIGTERM, leave)
-    except ValueError:  # not the main thread: its owner decides
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -23,6 +23,8 @@ from brdffit.probes.cubemap import directions
 from brdffit.probes.curves import Curve, get_curve
 from brdffit.probes.direct import split_bright
 from brdffit.probes.filtering import (
+    IRRADIANCE_SIZE,
+    LARGEST_SOURCE,
     METHODS,
     FilteredLevel,
     FilterOptions,
@@ -43,8 +45,8 @@ from brdffit.probes.writing import suffix_of, write_probe
 
 #: Memory that a texel of the source takes while it is filtered, measured at 256^2 and 512^2.
 _BYTES_PER_TEXEL = 400
-#: Texels along a face of the irradiance cube, of the largest source, and of the largest probe.
-IRRADIANCE_SIZE, _LARGEST_SOURCE, _LARGEST = 32, 1024, 4096
+#: Texels along a face of the largest probe.
+_LARGEST = 4096
 _MIRRORS = {"": np.diag([1, 1, 1]), "x": np.diag([-1, 1, 1]), "z": np.diag([1, 1, -1])}
 
 
@@ -146,7 +148,7 @@ def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = No
     preset, curve, tables = checked(options)
     began = time.perf_counter()
     surroundings = read_surroundings(path, options.layout, options.clamp)
-    natural = min(surroundings.natural_size, _LARGEST_SOURCE)
+    natural = min(surroundings.natural_size, LARGEST_SOURCE)
     needed, free = _BYTES_PER_TEXEL * 6 * max(natural, preset.size) ** 2, free_memory()
     if free is not None and needed > free:
         raise InputError(

@@ -173,3 +173,12 @@ def mean_radiance(cube: NDArray) -> NDArray:
     """(channels,) float64 mean over the sphere of a cube map (6, n, n, channels)."""
     angle = solid_angles(cube.shape[1])
     return np.einsum("fjic,ji->c", cube.astype(np.float64), angle) / (4.0 * np.pi)
+
+
+def latlong_directions(height: int) -> NDArray:
+    """(height, 2 height, 3) unit directions of the pixels of a lat-long picture, its middle column along -Z."""
+    polar = (np.arange(height) + 0.5) / height * np.pi
+    azimuth = ((np.arange(2 * height) + 0.5) / height - 1.0) * np.pi
+    level = np.sin(polar)[:, None]
+    x, z = level * np.sin(azimuth), -level * np.cos(azimuth)
+    return np.stack([x, np.broadcast_to(np.cos(polar)[:, None], x.shape), z], axis=-1)

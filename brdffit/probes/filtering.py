@@ -24,6 +24,8 @@ from brdffit.probes.lobe import is_narrow
 from brdffit.probes.tables import BASE_SIZE, filtered_by_table
 from brdffit.probes.tree import Tree, tau_for
 
+#: Texels along a face of the irradiance cube, and of the largest source.
+IRRADIANCE_SIZE, LARGEST_SOURCE = 32, 1024
 METHODS = ("tree", "brute", "table", "importance", "sh")
 #: Texels of a level that are held against brute force.
 MEASURED = 64

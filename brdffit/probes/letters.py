@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from brdffit.files.image_io import write_png
-from brdffit.probes.cubemap import FACES, face_coordinates, face_points, look_up
-from brdffit.probes.picture import exposure_of, latlong_directions, toned
+from brdffit.probes.cubemap import FACES, face_coordinates, face_points, latlong_directions, look_up
+from brdffit.probes.picture import exposure_of, toned
 from brdffit.probes.reading import CELLS
 
 #: Texels along a face, pixels between faces, and pixels of a line of text.

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from brdffit.colour import encode_srgb
 from brdffit.files.image_io import write_png
-from brdffit.probes.cubemap import look_up, look_up_trilinear, resized
+from brdffit.probes.cubemap import latlong_directions, look_up, look_up_trilinear, resized
 from brdffit.probes.tree import Tree, tau_for
 
 if TYPE_CHECKING:
@@ -72,15 +72,6 @@ def toned(radiance: NDArray, exposure: float) -> NDArray:
     """(..., 3) uint8 sRGB of linear radiance (..., 3), tone-mapped by Reinhard's curve."""
     x = np.maximum(radiance, 0.0) * exposure
     return (encode_srgb(np.minimum(1.2 * x / (1.0 + x), 1.0)) * 255.0 + 0.5).astype(np.uint8)
-
-
-def latlong_directions(height: int) -> NDArray:
-    """(height, 2 height, 3) unit directions of the pixels of a lat-long picture, its middle column along -Z."""
-    polar = (np.arange(height) + 0.5) / height * np.pi
-    azimuth = ((np.arange(2 * height) + 0.5) / height - 1.0) * np.pi
-    level = np.sin(polar)[:, None]
-    x, z = level * np.sin(azimuth), -level * np.cos(azimuth)
-    return np.stack([x, np.broadcast_to(np.cos(polar)[:, None], x.shape), z], axis=-1)
 
 
 def _sphere_directions(size: int) -> tuple[NDArray, NDArray]:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from brdffit.files.image_io import write_png
-from brdffit.probes.cubemap import look_up
+from brdffit.probes.cubemap import latlong_directions, look_up
 from brdffit.probes.curves import get_curve
 from brdffit.probes.filtering import FilterOptions, filter_levels, level_requests
-from brdffit.probes.picture import exposure_of, latlong_directions, toned
+from brdffit.probes.picture import exposure_of, toned
 from brdffit.probes.table_files import TableFile, load_table, shipped_tables
 from brdffit.probes.tables import BASE_SIZE
 

@@ -23,7 +23,14 @@ from scipy.ndimage import map_coordinates
 from brdffit.models.microfacet import LEAST_REFLECTANCE
 from brdffit.probes.cubemap import look_up, look_up_trilinear
 from brdffit.probes.curves import Curve, get_curve
-from brdffit.probes.filtering import FilterOptions, LevelRequest, filter_levels, level_requests
+from brdffit.probes.filtering import (
+    IRRADIANCE_SIZE,
+    LARGEST_SOURCE,
+    FilterOptions,
+    LevelRequest,
+    filter_levels,
+    level_requests,
+)
 from brdffit.probes.parallel import default_threads
 from brdffit.probes.presets import get_probe_preset
 from brdffit.probes.reading import Surroundings, as_cube
@@ -31,8 +38,6 @@ from brdffit.probes.split_sum import dfg_table
 
 #: Mean of Schlick's weight under the cosine.
 MEAN_SCHLICK = 1.0 / 21.0
-#: Texels along a face of the irradiance cube, and the largest source.
-_IRRADIANCE_SIZE, _LARGEST_SOURCE = 32, 1024
 
 
 @dataclass(frozen=True)
@@ -65,9 +70,9 @@ class ProbeLight:
         engine, threads = get_probe_preset(preset), threads or default_threads()
         curve = get_curve(engine.curve, engine.levels, engine.size)
         surroundings = Surroundings(Path(), "latlong", np.ascontiguousarray(radiance, np.float32))
-        size = max(min(surroundings.natural_size, _LARGEST_SOURCE), engine.size)
+        size = max(min(surroundings.natural_size, LARGEST_SOURCE), engine.size)
         source = as_cube(surroundings, size, threads=threads)
-        requests = [*level_requests(curve, engine.size, size), LevelRequest(0, _IRRADIANCE_SIZE, 1.0, 1.0)]
+        requests = [*level_requests(curve, engine.size, size), LevelRequest(0, IRRADIANCE_SIZE, 1.0, 1.0)]
         made = filter_levels(source, requests, FilterOptions(tolerance=tolerance, threads=threads))
         *levels, irradiance = (each.radiance for each in made)
         return cls(preset, curve, levels, irradiance, dfg_table())

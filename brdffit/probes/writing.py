@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from brdffit.files.image_io import write_mip_exr
 from brdffit.probes.containers import write_cube
-from brdffit.probes.cubemap import look_up
+from brdffit.probes.cubemap import latlong_directions, look_up
 from brdffit.probes.harmonics import NINE_CONSTANTS
 from brdffit.probes.split_sum import dfg_table
 
@@ -82,13 +82,8 @@ def _dfg() -> NDArray:
 
 def latlong_of(cube: NDArray, height: int) -> NDArray:
     """(height, 2 height, 3) float32 lat-long picture of a cube map, middle column along -Z, of 2x2 points a pixel."""
-    fine = 2 * height
-    polar = (np.arange(fine) + 0.5) / fine * np.pi
-    azimuth = ((np.arange(2 * fine) + 0.5) / fine - 1.0) * np.pi
-    level = np.sin(polar)[:, None]
-    x, z = level * np.sin(azimuth), -level * np.cos(azimuth)
-    at = np.stack([x, np.broadcast_to(np.cos(polar)[:, None], x.shape), z], axis=-1)
-    return look_up(cube, at).reshape(height, 2, 2 * height, 2, 3).mean(axis=(1, 3)).astype(np.float32)
+    fine = look_up(cube, latlong_directions(2 * height))
+    return fine.reshape(height, 2, 2 * height, 2, 3).mean(axis=(1, 3)).astype(np.float32)
 
 
 def _write_latlong(path: Path, cube: NDArray) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.textures.frames import Frame
-from brdffit.textures.materialx_ops import OPERATIONS
+from brdffit.textures.materialx_ops import OPERATIONS, combine
 
 CHANNELS = {"float": 1, "integer": 1, "boolean": 1, "vector2": 2, "color3": 3, "vector3": 3, "color4": 4, "vector4": 4}
 _OUTPUTS = {"outr": 0, "outg": 1, "outb": 2, "outa": 3, "outx": 0, "outy": 1, "outz": 2, "outw": 3}
@@ -318,12 +318,7 @@ def _affine(category: str, inputs: list[Any]) -> Frame | None:
 def _decoded_normal(value: NDArray, scale: NDArray) -> NDArray:
     vectors = 2.0 * value[..., :3] - 1.0
     xy = vectors[..., :2] * (scale if scale.shape[-1] == 2 else scale[..., :1])
-    return _along(xy, vectors[..., 2:])
-
-
-def _along(*parts: NDArray) -> NDArray:
-    shape = np.broadcast_shapes(*(part.shape[:2] for part in parts))
-    return np.concatenate([np.broadcast_to(part, (*shape, part.shape[2])) for part in parts], axis=2)
+    return combine(xy, vectors[..., 2:])
 
 
 def _channel(value: Any, index: int) -> Any:

@@ -57,7 +57,7 @@ def _luminance(value: NDArray, lumacoeffs: NDArray) -> NDArray:
     return np.concatenate([np.repeat(grey, 3, axis=-1), value[..., 3:]], axis=-1)
 
 
-def _combine(*parts: NDArray) -> NDArray:
+def combine(*parts: NDArray) -> NDArray:
     shape = np.broadcast_shapes(*(part.shape[:2] for part in parts))
     return np.concatenate([np.broadcast_to(part, (*shape, part.shape[2])) for part in parts], axis=2)
 
@@ -150,9 +150,9 @@ OPERATIONS: dict[str, tuple[tuple[str, ...], Callable[..., NDArray]]] = {
     "luminance": (("in", "lumacoeffs"), _luminance),
     "rgbtohsv": (("in",), _rgb_to_hsv),
     "hsvtorgb": (("in",), _hsv_to_rgb),
-    "combine2": (("in1", "in2"), _combine),
-    "combine3": (("in1", "in2", "in3"), _combine),
-    "combine4": (("in1", "in2", "in3", "in4"), _combine),
+    "combine2": (("in1", "in2"), combine),
+    "combine3": (("in1", "in2", "in3"), combine),
+    "combine4": (("in1", "in2", "in3", "in4"), combine),
     "dotproduct": (("in1", "in2"), lambda a, b: (a * b).sum(axis=-1, keepdims=True)),
     "crossproduct": (("in1", "in2"), lambda a, b: np.cross(a, b)),
     "magnitude": (("in",), lambda value: np.linalg.norm(value, axis=-1, keepdims=True)),

@@ -170,7 +170,7 @@ def _find_maps(path: Path, roles: dict[str, str], material: str | None) -> Textu
     unread = [name for name in names if name.lower().endswith(UNREAD_SUFFIXES)]
     bad = [name for name in images if not _is_utf8(name)]
     images = [name for name in images if name not in bad]
-    named = roles_from_names(images, [name for name in images if _has_alpha(path / name)])
+    named = roles_from_names(images, [name for name in images if has_alpha(path / name)])
     from_file, why = _by_file(path, scenes, named, material)
     texture_set = from_file or set_of_names(path, named, explicit)
     if why:
@@ -232,7 +232,7 @@ def set_of_names(path: Path, named: NamedSet, explicit: dict[str, Map]) -> Textu
     return texture_set
 
 
-def _has_alpha(path: Path) -> bool:
+def has_alpha(path: Path) -> bool:
     """Whether a picture has an alpha channel; one that cannot be read is an error only once it is used."""
     try:
         return len(read_info(path).channels) in (2, 4)
