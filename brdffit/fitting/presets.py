@@ -16,8 +16,8 @@ class Quality:
 
     Attributes:
         least: fewest samples of a footprint along one axis of a pixel.
-        most: most samples along one axis of a pixel. Where strata are wider than a base texel, each is sampled at a
-            random point.
+        most: most samples along one axis of a pixel. Where strata are no narrower than a base texel, each is sampled at
+            a random point.
         room: most samples of a footprint in all, where strata are cut because the normal turns quickly.
         step: lobe widths by which the normal may turn from one sample to the next.
         merge: lobe widths by which the normal may turn between four texels for one sample to represent the whole patch.

@@ -1,9 +1,8 @@
 """The base lobes that one footprint averages: samples of the bilinearly reconstructed base under the pixel filter.
 
 A renderer interpolates the stored textures: normals (then made unit length), perceptual roughness (or the log tensor
-where the base is anisotropic) and linear colours. The footprint is cut into strata with one sample each. Where strata
-are wider than texels, a hash jitters each sample inside its stratum, so that strata do not alias with the texel grid
-and the result is the same on every machine.
+where the base is anisotropic) and linear colours. The footprint is cut into strata with one sample each. A hash jitters
+samples of strata no narrower than texels, so that these do not alias with the texel grid, alike on every machine.
 """
 
 from __future__ import annotations
@@ -164,8 +163,9 @@ def strata(
         count = 1 if base == 1 else min(max(1, math.ceil(width * per_texel - 1e-9)), most)
         offset = (np.arange(count) + 0.5) / count * width - 0.5 * width
         weight = np.asarray(pixel_filter.weight(offset / scale), dtype=np.float64)
-        stratum = width / count
-        axes.append((offset, weight / weight.sum(), stratum if stratum > 1.0 else 0.0, scale))
+        # On texel centres alone, samples would see independent normals spread 9/4 as much as their interpolation does.
+        jitter = width / count if base > 1 and width >= count else 0.0
+        axes.append((offset, weight / weight.sum(), jitter, scale))
     (y, weight_y, jitter_y, scale_y), (x, weight_x, jitter_x, scale_x) = axes
     return Strata(x, y, weight_x, weight_y, jitter_x, jitter_y, scale_x, scale_y, seed, merge)
 
@@ -200,7 +200,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
     into as many samples along each axis as needed, since point samples would turn a smooth streak of normals into
     separate peaks; never into more than ``lobes`` has room for (one row is left for the defensive lobe). The remaining
     spread of normals in a sample's part of the patch goes into SPREAD; its mean in units of the lobe's width is
-    returned. Strata wider than a texel are sampled at random points and are neither merged nor cut.
+    returned. Strata as wide as a texel or wider are sampled at random points and are neither merged nor cut.
     """
     height, width = base.normal.shape[0], base.normal.shape[1]
     centre_x = (column + 0.5) * strata.scale_x - 0.5
