@@ -41,7 +41,7 @@ from brdffit.probes.picture import probe_picture
 from brdffit.probes.presets import ProbePreset, get_probe_preset
 from brdffit.probes.reading import CENTRES, Surroundings, as_cube, is_built_in, read_surroundings, reoriented
 from brdffit.probes.sun import Sun, find_sun
-from brdffit.probes.writing import suffix_of, write_probe
+from brdffit.probes.writing import SUFFIXES, write_probe
 
 #: Memory that a texel of the source takes while it is filtered, measured at 256^2 and 512^2.
 _BYTES_PER_TEXEL = 400
@@ -336,10 +336,8 @@ def bake_probe(
 def foreign_file(folder: Path) -> str | None:
     """Name of a file in a folder that no probe wrote, or None; such a folder is not replaced."""
     ours = {"manifest.json", "picture.png", "faces.png", "harmonics.json", "dfg.exr"}
-    for kind in ("specular", "irradiance"):
-        ours |= {f"{kind}{suffix}" for suffix in (".ktx2", ".ktx", ".dds", ".exr")}
-    ours |= {f"specular-{level}.exr" for level in range(16)}
-    return first_other(folder, ours)
+    ours |= {kind + suffix for kind in ("specular", "irradiance") for suffix in SUFFIXES.values()}
+    return first_other(folder, ours | {f"specular-{level}.exr" for level in range(16)})
 
 
 def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], command: str) -> dict[str, Any]:
@@ -394,5 +392,5 @@ def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], comman
         "notes": [*probe.notes, *([probe.preset.note] if probe.preset.note else [])],
         "seconds": {name: round(value, 3) for name, value in probe.seconds.items()},
         "files": files,
-        "specular": f"specular{suffix_of(probe.preset)}" if probe.preset.container != "exr" else "specular-0.exr",
+        "specular": files[0],
     }

@@ -31,12 +31,11 @@ from brdffit.probes.report_pictures import draw_front, draw_histories, draw_leve
 from brdffit.probes.seams import seam_ratios
 from brdffit.probes.shelf import named_environments
 from brdffit.probes.split_sum import split_errors
-from brdffit.probes.table_files import load_table, shipped_tables
+from brdffit.probes.table_files import LEVELS, load_table, shipped_tables
 from brdffit.probes.table_fit import chosen_texels
 from brdffit.probes.tables import BASE_SIZE, Goal
 from brdffit.probes.tree import Tree
 
-_LEVELS = 7
 #: (curve, levels) of the engines whose look-up is measured.
 _LOOKUPS = (("activision", 7), ("quadratic", 7), ("quadratic", 5), ("linear", 7), ("unity", 7), ("unreal", 8))
 _FILES = ("index.html", "records.json", "front.png", "points.png", "searches.png")
@@ -98,7 +97,7 @@ def _foreign(folder: Path) -> str | None:
 
 def preimage_tables(count: int, tell: Callable[[str], None]) -> dict[str, Any]:
     """The quantities of the paper's tables 1 to 3 for our tables: L1 of preimages on ``count`` texels of each level."""
-    alphas = get_curve("activision", _LEVELS, BASE_SIZE).alphas()
+    alphas = get_curve("activision", LEVELS, BASE_SIZE).alphas()
 
     @cache
     def goal(n: int, alpha: float) -> Goal:
@@ -130,7 +129,7 @@ def preimage_tables(count: int, tell: Callable[[str], None]) -> dict[str, Any]:
         tell(f"preimages of importance sampling, {samples} samples")
         levels = {
             str(level): float(preimage_errors(goal(BASE_SIZE >> level, alphas[level]), alphas[level], samples).mean())
-            for level in range(1, _LEVELS)
+            for level in range(1, LEVELS)
         }
         mean = float(np.mean(list(levels.values())))
         out["importance"].append({"samples": samples, "levels": levels, "mean": mean, "paper": printed})
@@ -157,7 +156,7 @@ def measure_methods(name: str, cube: NDArray, threads: int, count: int) -> list[
 
     The first record is brute force; its seconds are extrapolated from ``count`` texels of each level.
     """
-    curve = get_curve("activision", _LEVELS, BASE_SIZE)
+    curve = get_curve("activision", LEVELS, BASE_SIZE)
     requests = level_requests(curve, BASE_SIZE, BASE_SIZE, keep_narrow=True)[1:]
     source, exact, seconds = packed_source(cube), [], 0.0
     for request in requests:
@@ -193,7 +192,7 @@ def measure_methods(name: str, cube: NDArray, threads: int, count: int) -> list[
 
 def measure_seams(name: str, cube: NDArray, threads: int, turns: int) -> dict[str, Any]:
     """``seams.seam_ratios`` of the tree: of the environment as it stands, and summed over ``turns`` rotations."""
-    curve, levels = get_curve("activision", _LEVELS, BASE_SIZE), (3, 4, 5)
+    curve, levels = get_curve("activision", LEVELS, BASE_SIZE), (3, 4, 5)
     requests = [level_requests(curve, BASE_SIZE, BASE_SIZE, keep_narrow=True)[level] for level in levels]
     options = FilterOptions("tree", 0.005, threads=threads)
     upright, turned = (seam_ratios(cube, requests, options, count) for count in (1, turns))

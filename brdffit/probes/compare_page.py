@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from brdffit.probes.published import TABLE_2
+from brdffit.probes.table_files import LEVELS
 from brdffit.probes.tables import BASE_SIZE
-
-_LEVELS = 7
 
 
 def page(records: dict[str, Any]) -> str:
@@ -18,7 +17,8 @@ def page(records: dict[str, Any]) -> str:
     environments = records["environments"]
     sections = [
         "<h1>Reflection probes, compared</h1>",
-        f"<p>brdffit {records['brdffit']}, {len(environments)} environments of {BASE_SIZE}&sup2;, "
+        f"<p>brdffit {records['brdffit']}, {len(environments)} environment{'s' * (len(environments) != 1)} of "
+        f"{BASE_SIZE}&sup2;, "
         "Activision's roughness curve. Error: sum |a - b| / sum b against brute force, mean of levels 1 to 6. "
         "Seconds are processor time on this machine; compare ratios.</p>",
         '<img src="front.png" alt="error over time">',
@@ -47,17 +47,17 @@ def _methods_table(methods: list[dict[str, Any]], environments: list[str]) -> st
         rows.append(
             [
                 name, *(_percent(each["error"]) for each in found), _mean(found, "error"),
-                f"{max(each['worst'] for each in found):.3g}", f"{np.mean([each['seconds'] for each in found]):.2f}",
+                _percent(max(each["worst"] for each in found)), f"{np.mean([each['seconds'] for each in found]):.2f}",
             ]
         )  # fmt: skip
-    return _html_table(["method", *environments, "mean", "worst texel (99%)", "seconds"], rows)
+    return _html_table(["method", *environments, "mean", "99% of texels within", "seconds"], rows)
 
 
 def _preimages_section(preimages: dict[str, Any]) -> list[str]:
     """The paper's tables 1 to 3, irradiance, and how the searches went."""
 
     def row(name: str, found: dict[str, Any], seconds: str) -> list[str]:
-        levels = (_number(found["levels"].get(str(level))) for level in range(1, _LEVELS))
+        levels = (_number(found["levels"].get(str(level))) for level in range(1, LEVELS))
         return [name, *levels, _number(found["mean"]), _number(found["paper"]), seconds]
 
     tables = [row(each["table"], each, f"{each['seconds']:.0f}") for each in preimages["tables"]]
@@ -74,7 +74,7 @@ def _preimages_section(preimages: dict[str, Any]) -> list[str]:
         "held-out texels. The tables are fitted by <code>brdffit probe table</code>; no number of the "
         "paper's is used.</p>",
         _html_table(
-            ["table", *(f"level {level}" for level in range(1, _LEVELS)), "mean", "paper", "processor s to fit"], tables
+            ["table", *(f"level {level}" for level in range(1, LEVELS)), "mean", "paper", "processor s to fit"], tables
         ),
         _html_table(
             ["irradiance", "error", "paper"],

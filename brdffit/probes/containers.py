@@ -199,7 +199,8 @@ def read_cube_file(path: Path) -> CubeFile:
             try:
                 return reader(path, data)
             except (struct.error, ValueError, zstandard.ZstdError) as error:
-                raise InputError(f"'{path}' is truncated or damaged ({error}).") from error
+                what = "a header ends early" if isinstance(error, struct.error) else error
+                raise InputError(f"'{path}' is truncated or damaged ({what}).") from error
     raise InputError(f"'{path}' is no KTX2, KTX1 or DDS file.")
 
 

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from brdffit.files.image_io import write_png
 from brdffit.probes.cubemap import FACES, face_coordinates, face_points, latlong_directions, look_up
-from brdffit.probes.picture import exposure_of, toned
+from brdffit.probes.picture import Sheet, exposure_of, toned
 from brdffit.probes.reading import CELLS
 
 #: Texels along a face, pixels between faces, and pixels of a line of text.
@@ -52,19 +51,14 @@ def draw_faces(cube: NDArray, path: Path, title: str) -> None:
         title: text at the top.
     """
     exposure, n = exposure_of(cube), _SIZE
-    canvas = Image.new("RGB", (4 * (n + _GAP) + _GAP, 5 * n + 5 * _GAP + 2 * _TITLE), (24, 24, 24))
-    draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(12)
-    draw.text((_GAP, 3), title, fill=(255, 255, 255), font=font)
+    sheet = Sheet(4 * (n + _GAP) + _GAP, 5 * n + 5 * _GAP + 2 * _TITLE)
+    sheet.text(_GAP, 3, title)
     for face, (row, column) in enumerate(CELLS["horizontal-cross"]):
         x, y = _GAP + column * (n + _GAP), _TITLE + row * (n + _GAP)
-        pixels = Image.fromarray(toned(cube[face], exposure)).resize((n, n), Image.Resampling.BOX)
-        canvas.paste(pixels, (x, y))
+        sheet.put(x, y, np.asarray(Image.fromarray(toned(cube[face], exposure)).resize((n, n), Image.Resampling.BOX)))
         right, up = (FACES[int(face_coordinates(face_points(*way)[face])[0])] for way in _OVER)
-        label = f"{FACES[face]}  right {right}, up {up}"
-        draw.text((x + 3, y + 2), label, fill=(255, 255, 255), font=font, stroke_width=1, stroke_fill=(0, 0, 0))
+        sheet.text(x + 3, y + 2, f"{FACES[face]}  right {right}, up {up}", outlined=True)
     height = _TITLE + 3 * (n + _GAP)
-    below = "looked up as stored: lat-long, the middle along -Z, +X a quarter to the right"
-    draw.text((_GAP, height + 2), below, fill=(200, 200, 200), font=font)
-    strip = toned(look_up(cube, latlong_directions(2 * n)), exposure)
-    canvas.paste(Image.fromarray(strip), (_GAP, height + _TITLE))
-    write_png(path, np.asarray(canvas))
+    sheet.text(_GAP, height + 2, "looked up as stored: lat-long, the middle along -Z, +X a quarter to the right", 200)
+    sheet.put(_GAP, height + _TITLE, toned(look_up(cube, latlong_directions(2 * n)), exposure))
+    sheet.write(path)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from brdffit.probes.bake import Probe
 
 _WIDTH, _GAP, _TITLE = 256, 8, 18
+#: Grey of the ground, and of captions that matter less.
+GROUND, DIM = 24, 170
 _SPHERE, _SPHERES = 96, 8
 #: Tolerance of the column "exact", over that of the probe.
 _FINER = 0.1
@@ -29,37 +31,65 @@ def probe_picture(probe: Probe, path: Path, tolerance: float, threads: int) -> N
     "Exact" is the tree at a tenth of the tolerance, at most 0.002; brute force would take too long. Below the levels
     are two rows of reflecting spheres of rising roughness: looked up as the engine does, and exact.
     """
-    tree = Tree(probe.source)
-    at = latlong_directions(_WIDTH // 2)
-    exposure = exposure_of(probe.source)
+    tree, exposure = Tree(probe.source), exposure_of(probe.source)
     tau = tau_for(_FINER * min(tolerance, 0.02))
-    rows = []
+    row, spheres = _TITLE + _WIDTH // 2, _TITLE + _SPHERE
+    sheet = Sheet(3 * _WIDTH + 4 * _GAP, 2 * _TITLE + (len(probe.levels) - 1) * row + 2 * spheres + 2 * _GAP)
+    preset, name = probe.preset, probe.surroundings.path.name
+    sheet.text(_GAP, 3, f"{name} for {preset.name}: {preset.size}x{preset.size}, curve {probe.curve.name}")
+    for column, heading in enumerate(("stored", "exact", "difference x 10")):
+        sheet.text(_GAP + column * (_WIDTH + _GAP), _TITLE + 2, heading, DIM)
+    at, y = latlong_directions(_WIDTH // 2), 2 * _TITLE
     for level in probe.levels[1:]:
-        stored = look_up(level.radiance, at) / probe.scale
-        n = level.request.n
-        # Both are looked up in the same way, so that the difference shows the filter and not the look-up.
-        points = level.request.points
-        exact = look_up(resized(tree.level(n * points, level.request.alpha, tau, threads), n), at)
-        difference = np.abs(stored - exact)
+        n, points = level.request.n, level.request.points
         error = "" if level.error is None else f", error {level.error:.2%}"
-        title = f"level {level.request.level}: {n}x{n}, roughness {level.request.roughness:.2f}{error}"
-        rows.append((title, [toned(each, exposure) for each in (stored, exact, 10.0 * difference)]))
+        sheet.text(_GAP, y + 2, f"level {level.request.level}: {n}x{n}, roughness {level.request.roughness:.2f}{error}")
+        # Both are looked up in the same way, so that the difference shows the filter and not the look-up.
+        stored = look_up(level.radiance, at) / probe.scale
+        exact = look_up(resized(tree.level(n * points, level.request.alpha, tau, threads), n), at)
+        for column, each in enumerate((stored, exact, 10.0 * np.abs(stored - exact))):
+            sheet.put(_GAP + column * (_WIDTH + _GAP), y + _TITLE, toned(each, exposure))
+        y += row
+    sheet.text(_GAP, y + 2, "spheres of roughness 0 to 1, looked up as the engine does")
+    sheet.text(_GAP, y + spheres + 2, "exact")
     normal, inside = _sphere_directions(_SPHERE)
-    drawn, true = [], []
     radiances = [level.radiance / probe.scale for level in probe.levels]
-    for roughness in np.linspace(0.0, 1.0, _SPHERES):
-        lod = probe.curve.level(np.array(roughness))
-        seen = look_up_trilinear(radiances, normal, np.full(normal.shape[:-1], lod))
-        flat = normal[inside]
-        if roughness > 0.05:
-            values = tree.filtered(flat, roughness**2, tau, threads)
-        else:
-            values = look_up(probe.source, flat)
-        exact = np.zeros_like(seen)
-        exact[inside] = values
-        drawn.append(np.where(inside[..., None], toned(seen, exposure), 24))
-        true.append(np.where(inside[..., None], toned(exact, exposure), 24))
-    write_png(path, _composed(probe, rows, drawn, true))
+    for column, roughness in enumerate(np.linspace(0.0, 1.0, _SPHERES)):
+        lod = np.full(inside.shape, probe.curve.level(np.array(roughness)))
+        exact, flat = np.zeros(normal.shape), normal[inside]
+        exact[inside] = (
+            tree.filtered(flat, roughness**2, tau, threads) if roughness > 0.05 else look_up(probe.source, flat)
+        )
+        for below, each in enumerate((look_up_trilinear(radiances, normal, lod), exact)):
+            disc = np.where(inside[..., None], toned(each, exposure), np.uint8(GROUND))
+            sheet.put(_GAP + column * _SPHERE, y + _TITLE + below * spheres, disc)
+    sheet.write(path)
+
+
+class Sheet:
+    """A dark ground that pictures and their captions are put on."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self._canvas = Image.new("RGB", (width, height), (GROUND,) * 3)
+        self._draw, self._font = ImageDraw.Draw(self._canvas), ImageFont.load_default(12)
+
+    def text(self, x: int, y: int, text: str, grey: int = 255, outlined: bool = False) -> None:
+        """A line of text, its upper left corner at (x, y); ``outlined`` in black, for the top of a picture."""
+        self._draw.text(
+            (x, y), text, fill=(grey,) * 3, font=self._font, stroke_width=int(outlined), stroke_fill=(0, 0, 0)
+        )
+
+    def put(self, x: int, y: int, pixels: NDArray) -> None:
+        """A picture (h, w, 3) uint8, its upper left corner at (x, y)."""
+        self._canvas.paste(Image.fromarray(pixels), (x, y))
+
+    def write(self, path: Path) -> None:
+        """Write a PNG.
+
+        Raises:
+            OutputError: when it cannot be written.
+        """
+        write_png(path, np.asarray(self._canvas))
 
 
 def exposure_of(cube: NDArray) -> float:
@@ -84,30 +114,3 @@ def _sphere_directions(size: int) -> tuple[NDArray, NDArray]:
     # r = 2 (n.v) n - v with v = +Z.
     reflected = np.stack([2.0 * z * x, 2.0 * z * y, 2.0 * z * z - 1.0], axis=-1)
     return np.where(inside[..., None], reflected, [0.0, 0.0, 1.0]), inside
-
-
-def _composed(probe: Probe, rows: list, drawn: list[NDArray], true: list[NDArray]) -> NDArray:
-    width = 3 * _WIDTH + 4 * _GAP
-    height = 2 * _TITLE + len(rows) * (_WIDTH // 2 + _TITLE) + 2 * (_SPHERE + _TITLE) + 2 * _GAP
-    canvas = Image.new("RGB", (width, height), (24, 24, 24))
-    draw = ImageDraw.Draw(canvas)
-    font = ImageFont.load_default(12)
-    preset = probe.preset
-    head = f"{probe.surroundings.path.name} for {preset.name}: {preset.size}x{preset.size}, curve {probe.curve.name}"
-    draw.text((_GAP, 3), head, fill=(255, 255, 255), font=font)
-    for column, name in enumerate(("stored", "exact", "difference x 10")):
-        draw.text((_GAP + column * (_WIDTH + _GAP), _TITLE + 2), name, fill=(170, 170, 170), font=font)
-    y = 2 * _TITLE
-    for title, pictures in rows:
-        draw.text((_GAP, y + 2), title, fill=(255, 255, 255), font=font)
-        y += _TITLE
-        for column, pixels in enumerate(pictures):
-            canvas.paste(Image.fromarray(pixels), (_GAP + column * (_WIDTH + _GAP), y))
-        y += _WIDTH // 2
-    for title, spheres in (("spheres of roughness 0 to 1, looked up as the engine does", drawn), ("exact", true)):
-        draw.text((_GAP, y + 2), title, fill=(255, 255, 255), font=font)
-        y += _TITLE
-        for column, pixels in enumerate(spheres):
-            canvas.paste(Image.fromarray(pixels.astype(np.uint8)), (_GAP + column * _SPHERE, y))
-        y += _SPHERE
-    return np.asarray(canvas)

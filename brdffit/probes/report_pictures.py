@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 
-from brdffit.files.image_io import write_png
-from brdffit.probes.cubemap import latlong_directions, look_up
+from brdffit.probes.cubemap import directions, latlong_directions, look_up
 from brdffit.probes.curves import get_curve
 from brdffit.probes.filtering import FilterOptions, filter_levels, level_requests
-from brdffit.probes.picture import exposure_of, toned
-from brdffit.probes.table_files import TableFile, load_table, shipped_tables
+from brdffit.probes.picture import DIM, Sheet, exposure_of, toned
+from brdffit.probes.table_files import TableFile, load_table
 from brdffit.probes.tables import BASE_SIZE
 
 _WIDTH, _GAP, _TITLE = 224, 6, 18
@@ -26,26 +24,30 @@ def draw_front(methods: list[dict[str, Any]], path: Path) -> None:
     """Plot the mean error of each method over its mean processor time, on logarithmic axes, as a PNG."""
     from matplotlib.figure import Figure
 
-    figure = Figure((8.5, 5.0), dpi=110)
-    axes = figure.subplots()
-    kinds = {"tree": "C0", "ggx": "C1", "importance": "C2"}
+    families: dict[str, list[tuple[float, float, str]]] = {}
     for name in dict.fromkeys(each["method"] for each in methods):
         rows = [each for each in methods if each["method"] == name]
-        seconds = float(np.mean([each["seconds"] for each in rows]))
-        if name == "brute force":
-            axes.axvline(seconds, color="0.6", linestyle=":")
-            axes.annotate("brute force", (seconds, 0.02), rotation=90, ha="right", color="0.4", fontsize=8)
+        seconds, error = (float(np.mean([each[key] for each in rows])) for key in ("seconds", "error"))
+        # "ggx-const-8, split 10" is the 8 of "ggx-const, split 10".
+        base, comma, split = name.partition(", ")
+        family = base.rstrip("0123456789.").rstrip(" -")
+        families.setdefault(family + comma + split, []).append((seconds, 100.0 * error, base[len(family) + 1 :]))
+    figure = Figure((8.5, 5.0), dpi=110)
+    axes, colours = figure.subplots(), {"tree": "C0", "ggx-const": "C1", "ggx-quadratic": "C3", "importance": "C2"}
+    for label, points in families.items():
+        if label == "brute force":
+            axes.axvline(points[0][0], color="0.6", linestyle=":", label=label)
             continue
-        error = float(np.mean([each["error"] for each in rows]))
-        colour = next(colour for kind, colour in kinds.items() if name.startswith(kind))
-        axes.loglog(seconds, 100.0 * error, "o", color=colour, markerfacecolor="white" if "split" in name else colour)
-        # Quadratic tables lie below and to the left of the constant ones of twice the taps.
-        side, shift = ("right", (-6, -7)) if name.startswith("ggx-quadratic") else ("left", (6, 2))
-        axes.annotate(name, (seconds, 100.0 * error), textcoords="offset points", xytext=shift, ha=side, fontsize=8)
-    axes.margins(x=0.18)
+        family, _, split = label.partition(", ")
+        (line,) = axes.loglog([point[0] for point in points], [point[1] for point in points], "o-", label=label)
+        line.set(color=colours[family], linestyle="--" if split else "-")
+        line.set_markerfacecolor("white" if split else colours[family])
+        for seconds, error, number in points:
+            axes.annotate(number, (seconds, error), textcoords="offset points", xytext=(5, 4), fontsize=8)
     axes.set_xlabel("processor seconds for levels 1 to 6 of a cube of 128")
     axes.set_ylabel("error, % of radiance")
     axes.grid(True, which="both", alpha=0.2)
+    axes.legend(fontsize=8, title="with tolerance, taps or samples", title_fontsize=8)
     figure.tight_layout()
     figure.savefig(path)
 
@@ -72,6 +74,7 @@ def draw_histories(tables: Sequence[TableFile], path: Path) -> None:
             axes.plot(level.seconds, level.error, "o", color=line.get_color(), markersize=4)
         axes.set_title(table.name, fontsize=9)
         axes.set_xscale("log")
+        axes.xaxis.set_minor_formatter("")
         axes.grid(True, alpha=0.2)
         axes.legend(fontsize=6)
     for axes in all_axes.flat[len(tables) :]:
@@ -84,26 +87,25 @@ def draw_histories(tables: Sequence[TableFile], path: Path) -> None:
 
 def _methods() -> list[tuple[str, FilterOptions]]:
     out = [("exact", FilterOptions("tree", 1e-4)), ("tree 0.01", FilterOptions("tree", 0.01))]
-    tables = [load_table(name) for name in shipped_tables()]
-    out += [(each.name, FilterOptions("table", tables=each.tables)) for each in tables if each.is_whole]
+    # More than five pictures in a row could not be read on the page.
+    tables = [load_table(name) for name in ("ggx-const-8", "ggx-quadratic-8")]
+    out += [(each.name, FilterOptions("table", tables=each.tables)) for each in tables]
     return [*out, ("importance 32", FilterOptions("importance", samples=32))]
 
 
 def draw_point_responses(path: Path) -> None:
     """Level 3 of a cube with one bright texel: in the middle of a face, on an edge, at a corner (figure 8)."""
     n, rows = BASE_SIZE, []
-    for title, at in (("middle", (64, 64)), ("edge", (64, 127)), ("corner", (0, 127))):
+    for title, row, column in (("middle", 64, 64), ("edge", 64, 127), ("corner", 0, 127)):
         cube = np.zeros((6, n, n, 3), np.float32)
-        cube[4, at[0], at[1]] = 1.0
-        rows.append((f"one texel, {title}", _filtered(cube, 3), (4, at)))
-    pictures = []
-    for title, made, (_, at) in rows:
-        peak = float(made[0][1].max())
+        cube[4, row, column] = 1.0
+        made = _filtered(cube, 3)
         # A perspective view along the texel's direction shows the neighbouring faces too.
-        u, v = (2 * at[1] + 1) / n - 1.0, 1.0 - (2 * at[0] + 1) / n
-        view = _view(np.array([u, v, 1.0]), 0.7)
-        pictures.append((title, [(name, toned(look_up(level, view) / peak, 2.0)) for name, level in made]))
-    write_png(path, _sheet(pictures))
+        view = _view(directions(n)[4, row, column], 0.7)
+        peak = float(made[0][1].max())
+        pictures = [(name, toned(look_up(level, view) / peak, 2.0)) for name, level in made]
+        rows.append((f"one texel, {title}", pictures))
+    _write_sheet(rows, path)
 
 
 def draw_levels(cube: NDArray, path: Path, threads: int) -> None:
@@ -113,7 +115,7 @@ def draw_levels(cube: NDArray, path: Path, threads: int) -> None:
     for level in (1, 3, 5):
         made = _filtered(cube, level, threads)
         rows.append((f"level {level}", [(name, toned(look_up(each, at), exposure)) for name, each in made]))
-    write_png(path, _sheet(rows))
+    _write_sheet(rows, path)
 
 
 def _filtered(cube: NDArray, level: int, threads: int = 1) -> list[tuple[str, NDArray]]:
@@ -125,8 +127,7 @@ def _filtered(cube: NDArray, level: int, threads: int = 1) -> list[tuple[str, ND
 
 
 def _view(ahead: NDArray, reach: float) -> NDArray:
-    """(_WIDTH, _WIDTH, 3) directions of a perspective view along ``ahead``, to ``reach`` on the plane at distance 1."""
-    ahead = ahead / np.linalg.norm(ahead)
+    """(_WIDTH, _WIDTH, 3) directions of a view along the unit vector ``ahead``, to ``reach`` on the plane at 1."""
     right = np.cross([0.0, 1.0, 0.0], ahead)
     right /= np.linalg.norm(right)
     up = np.cross(ahead, right)
@@ -134,18 +135,15 @@ def _view(ahead: NDArray, reach: float) -> NDArray:
     return ahead + across[None, :, None] * right - across[:, None, None] * up
 
 
-def _sheet(rows: list[tuple[str, list[tuple[str, NDArray]]]]) -> NDArray:
-    """Rows of captioned pictures."""
-    columns = len(rows[0][1])
-    height = sum(row[0][1].shape[0] + 2 * _TITLE for _, row in rows)
-    canvas = Image.new("RGB", (columns * (_WIDTH + _GAP) + _GAP, height + _GAP), (24, 24, 24))
-    draw, font, y = ImageDraw.Draw(canvas), ImageFont.load_default(12), 0
-    for title, row in rows:
-        draw.text((_GAP, y + 2), title, fill=(255, 255, 255), font=font)
-        y += _TITLE
+def _write_sheet(rows: list[tuple[str, list[tuple[str, NDArray]]]], path: Path) -> None:
+    """Rows of captioned pictures, as a PNG."""
+    heights = [row[0][1].shape[0] + 2 * _TITLE for _, row in rows]
+    sheet, y = Sheet(len(rows[0][1]) * (_WIDTH + _GAP) + _GAP, sum(heights) + _GAP), 0
+    for (title, row), height in zip(rows, heights, strict=True):
+        sheet.text(_GAP, y + 2, title)
         for column, (name, pixels) in enumerate(row):
             x = _GAP + column * (_WIDTH + _GAP)
-            draw.text((x, y + 2), name, fill=(170, 170, 170), font=font)
-            canvas.paste(Image.fromarray(pixels), (x, y + _TITLE))
-        y += _TITLE + row[0][1].shape[0]
-    return np.asarray(canvas)
+            sheet.text(x, y + _TITLE + 2, name, DIM)
+            sheet.put(x, y + 2 * _TITLE, pixels)
+        y += height
+    sheet.write(path)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from brdffit.colour import LUMINANCE
-from brdffit.errors import BrdffitError, InputError
+from brdffit.errors import BrdffitError, InputError, OutputError
 from brdffit.probes.bake import ProbeOptions, bake_probe, checked, request_digest
 from brdffit.probes.containers import read_cube_file
 from brdffit.probes.cubemap import mean_radiance
@@ -148,7 +148,10 @@ def draw_faces_of(path: Path, picture: Path) -> None:
 
     Raises:
         InputError: when it can be read as none of them.
+        OutputError: when the picture is no PNG or cannot be written.
     """
+    if picture.suffix.lower() != ".png":
+        raise OutputError(f"'{picture}' was asked for, expected a name that ends in .png.")
     manifest = _manifest(path)
     path = path / manifest["specular"] if manifest else path
     surroundings = read_surroundings(path, clamp=True)

@@ -7,6 +7,8 @@ D (n.h). At n.v = 1 and alpha = 1 their sum is 1 - ln 2.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,11 +48,14 @@ def _weight(nv: NDArray | float, nl: NDArray, vh: NDArray, nh: NDArray, alpha: f
     return 4.0 * visibility * nl * vh / nh
 
 
+@lru_cache(maxsize=2)
 def dfg_table(size: int = 64) -> NDArray:
-    """(size, size, 2) float32 scale and bias: columns n.v, rows perceptual roughness, both at (k + 1/2)/size."""
+    """(size, size, 2) float32 scale and bias: columns n.v, rows perceptual roughness, at (k + 1/2)/size; read only."""
     at = (np.arange(size) + 0.5) / size
     alphas = np.maximum(alpha_from_perceptual(at), 1e-4).tolist()
-    return np.stack([scale_and_bias(at, alpha) for alpha in alphas]).astype(np.float32)
+    table = np.stack([scale_and_bias(at, alpha) for alpha in alphas]).astype(np.float32)
+    table.setflags(write=False)
+    return table
 
 
 def split_errors(cubes: list[NDArray], count: int, threads: int = 1) -> dict[str, list]:

@@ -53,8 +53,9 @@ class TableFile:
 
 
 def shipped_tables() -> list[str]:
-    """Names of the tables that come with the program."""
-    return sorted(path.stem for path in _SHIPPED.glob("*.json"))
+    """Names of the tables that come with the program, those of few taps first."""
+    names = [path.stem.rpartition("-") for path in _SHIPPED.glob("*.json")]
+    return ["".join(each) for each in sorted(names, key=lambda each: (each[0], int(each[2])))]
 
 
 def load_table(name_or_path: str | Path) -> TableFile:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,18 +17,13 @@ from brdffit.probes.split_sum import dfg_table
 
 if TYPE_CHECKING:
     from brdffit.probes.bake import Probe
-    from brdffit.probes.presets import ProbePreset
 
-_SUFFIXES = {"ktx2": ".ktx2", "ktx1": ".ktx", "dds": ".dds", "exr": ".exr"}
-
-
-def suffix_of(preset: ProbePreset) -> str:
-    """Suffix of the files of a preset's container."""
-    return _SUFFIXES[preset.container]
+#: Suffix of the files of a container.
+SUFFIXES = {"ktx2": ".ktx2", "ktx1": ".ktx", "dds": ".dds", "exr": ".exr"}
 
 
 def write_probe(probe: Probe, folder: Path) -> list[str]:
-    """Write all files of a probe but the manifest and the pictures; returns the names of those to list.
+    """Write all files of a probe but the manifest and the pictures; returns their names, specular levels first.
 
     Raises:
         OutputError: when a cube map cannot be written.
@@ -49,7 +43,7 @@ def write_probe(probe: Probe, folder: Path) -> list[str]:
         files.append("irradiance.exr")
         _write_latlong(folder / files[-1], irradiance)
     else:
-        suffix = suffix_of(preset)
+        suffix = SUFFIXES[preset.container]
         for name, levels in (("specular", specular), ("irradiance", [irradiance])):
             files.append(name + suffix)
             # Filament's shader does not apply the constants of the basis, so its file contains them.
@@ -71,13 +65,8 @@ def write_probe(probe: Probe, folder: Path) -> list[str]:
         + "\n",
         encoding="utf-8",
     )
-    _write_chain(folder / "dfg.exr", _dfg(), ("R", "G"))
+    _write_chain(folder / "dfg.exr", dfg_table(32), ("R", "G"))
     return [*files, "harmonics.json", "dfg.exr"]
-
-
-@lru_cache(maxsize=1)
-def _dfg() -> NDArray:
-    return dfg_table(32)
 
 
 def latlong_of(cube: NDArray, height: int) -> NDArray:
