@@ -305,6 +305,7 @@ def test_no_stored_lobe_is_narrower_than_its_texel(tmp_path):
         (dict(size=1 << 20), "16 to 4096"),
         (dict(rotate=np.nan), "finite"),
         (dict(split=np.nan, method="sh"), "at least 1"),
+        (dict(split=10.0), "takes no split"),
         (dict(preset="godot", texel_format="bc6h"), "EXR files of floats"),
         (dict(method="table", table="ggx-const-8"), "is for the curve"),
     ],

@@ -257,6 +257,8 @@ def checked(options: ProbeOptions) -> tuple[ProbePreset, Curve, Mapping[int, NDA
         raise InputError(f"A rotation by {options.rotate:g} degrees was asked for, expected a finite number.")
     if options.split is not None and not 1.0 <= options.split < np.inf:
         raise InputError(f"A split at {options.split:g} times the mean was asked for, expected at least 1.")
+    if options.split is not None and options.method in ("tree", "brute") and preset.container != "exr":
+        raise InputError(f"The method '{options.method}' takes no split: bright texels cost it no accuracy.")
     curve = get_curve(preset.curve if options.curve is None else options.curve, levels, size)
     tables: Mapping[int, NDArray] = {}
     if options.method == "table":
