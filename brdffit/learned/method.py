@@ -8,10 +8,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import threading
 import time
+from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import ClassVar
+from itertools import pairwise
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +105,32 @@ class Learned(LobeMethod):
         return pyramid
 
 
+class _Fresh(NamedTuple):
+    """A level that is being made: what is said of its texels, which of them are strange, which reflect anything."""
+
+    size: tuple[int, int]
+    output: Output
+    strange: NDArray
+    some: NDArray
+
+    @classmethod
+    def of(cls, size: tuple[int, int]) -> _Fresh:
+        """An empty level (height, width)."""
+        texels = math.prod(size)
+        return cls(size, make_output(texels), np.zeros(texels, np.bool_), np.zeros(texels, np.bool_))
+
+    @property
+    def flat(self) -> tuple[NDArray, ...]:
+        """The images as ``say_rows`` takes them."""
+        images = self.output.normal, self.output.log_roughness, self.output.specular, self.output.diffuse
+        return *(image.reshape(-1) for image in images), self.strange, self.some
+
+
+def _rows_of_strip(width: int) -> int:
+    """Rows of a level that a worker takes at once: a power of two, at least 2."""
+    return 1 << max(1, (_TEXELS_PER_PIECE // width).bit_length() - 1)
+
+
 class _Bake:
     """The state of one bake. Levels are made from fine to coarse, since coarse footprints sum up finer ones."""
 
@@ -116,56 +145,88 @@ class _Bake:
     def levels(self, levels: list[Level]) -> int:
         """Append all levels; returns how many texels were fitted."""
         sizes = level_sizes(self.svbrdf.size, self.options.levels)
-        box, fitted, tiles = self.options.pixel_filter == "box", 0, np.zeros(0)
-        known = box  # whether the sums of this level come from the base (level 0) or from ``tiles``
-        for mip_level, size in enumerate(sizes):
+        box = self.options.pixel_filter == "box"
+        nested = [box and a == (2 * b[0], 2 * b[1]) for a, b in pairwise(sizes)] + [False]
+        fitted, first, tiles = 0, 0, np.zeros(0)
+        known = box  # whether the sums of the next level come from the base (level 0) or from ``tiles``
+        while first < len(sizes):
             started = time.perf_counter()
-            below = sizes[mip_level + 1] if mip_level + 1 < len(sizes) else None
-            nested = box and below is not None and size == (2 * below[0], 2 * below[1])
-            pooled = empty_tiles(below) if nested and below is not None else np.zeros(0)
-            level, count = self.level(mip_level, size, tiles, known, pooled)
-            if mip_level == 0 and self.options.keep_level_0:
-                level, count = Level(self.svbrdf.replace(height=None), status=np.full(size, KEPT, np.uint8)), 0
-            fitted += count
-            level.seconds = time.perf_counter() - started
-            levels.append(level)
-            tiles, known = pooled, nested
+            strip = _rows_of_strip(sizes[first][1])
+            count = 1
+            while known and nested[first + count - 1] and strip >> count >= 2:
+                count += 1
+            chain = sizes[first : first + count]
+            goes_on = nested[first + count - 1]
+            pooled = empty_tiles(sizes[first + count]) if goes_on else np.zeros(0)
+            made = [_Fresh.of(size) for size in chain]
+            self.say(first, chain, strip, tiles, known, pooled, made)
+            seconds = time.perf_counter() - started
+            for mip_level, fresh in enumerate(made, first):
+                began = time.perf_counter()
+                level, strange = self.level(mip_level, fresh)
+                fitted += strange
+                # Levels that are made together share their time by texels.
+                share = math.prod(fresh.size) / sum(math.prod(size) for size in chain)
+                level.seconds = seconds * share + time.perf_counter() - began
+                levels.append(level)
+            first, tiles, known = first + count, pooled, goes_on
         return fitted
 
-    def level(
-        self, mip_level: int, size: tuple[int, int], tiles: NDArray, known: bool, pooled: NDArray
-    ) -> tuple[Level, int]:
-        """One level and the number of its texels that were fitted.
+    def say(
+        self, first: int, sizes: Sequence[tuple[int, int]], strip: int, tiles: NDArray, known: bool, pooled: NDArray,
+        made: Sequence[_Fresh],
+    ) -> None:  # fmt: skip
+        """Fill ``made`` with what the network says of levels ``first`` and on, each half the size of the one before.
+
+        A worker takes a strip of rows through all of them, so that sums of footprints stay in the processor's cache.
 
         Args:
-            mip_level: its number.
-            size: (height, width).
-            tiles: sums of its footprints, unless it is level 0 or they are not ``known``.
+            first: number of the first of the levels.
+            sizes: (height, width) of the levels.
+            strip: rows of the first level that are worked on at once.
+            tiles: sums of the first level's footprints, unless it is level 0 or they are not ``known``.
             known: whether these sums need not be gathered from the base.
-            pooled: receives the sums of the next level, unless it is empty.
+            pooled: receives the sums of the level after these, unless it is empty.
+            made: the levels.
         """
-        height, width = size
-        texels = height * width
-        output, strange, some = make_output(texels), np.zeros(texels, np.bool_), np.zeros(texels, np.bool_)
-        images = output.normal, output.log_roughness, output.specular, output.diffuse, strange, some
-        strip = max(2, _TEXELS_PER_PIECE // width // 2 * 2)
-        gathered = None if known else level_rules(self.filter, self.svbrdf.size, size, mip_level, get_quality("draft"))
+        gathered = None if known else level_rules(self.filter, self.svbrdf.size, sizes[0], first, get_quality("draft"))
+        own = threading.local()
 
-        def work(first: int) -> None:
-            rows, own, begin = min(strip, height - first), tiles, 0
+        def between() -> list[NDArray]:
+            """Tiles of this worker for the levels after the first."""
+            if not hasattr(own, "tiles"):
+                own.tiles = [empty_tiles((strip >> k, size[1])) for k, size in enumerate(sizes) if k]
+            return own.tiles
+
+        def work(row: int) -> None:
+            source, begin = tiles, 0
             if gathered is not None:
-                own, begin = gather_tiles(self.base, gathered.strata, gathered.room, first, rows, width), first
-            say_rows(self.base, own, begin, first, rows, width, self.said, pooled, *images)
-            if self.progress is not None:
-                self.progress(mip_level, (first + rows) * width, texels)
+                rows = min(strip, sizes[0][0] - row)
+                source = gather_tiles(self.base, gathered.strata, gathered.room, row, rows, sizes[0][1])
+                begin = row
+            targets = [*between(), pooled]
+            for k, (height, width) in enumerate(sizes):
+                at, target = row >> k, targets[k]
+                rows = min(strip >> k, height - at)
+                to = row >> (k + 1) if k + 1 < len(sizes) else 0
+                say_rows(self.base, source, begin, at, rows, width, self.said, target, to, *made[k].flat)
+                source, begin = target, to
+                if self.progress is not None:
+                    self.progress(first + k, (at + rows) * width, height * width)
 
-        for _ in self.pool.map(work, range(0, height, strip)):
+        for _ in self.pool.map(work, range(0, sizes[0][0], strip)):
             pass
-        output.status[:] = np.where(some, CLOSED_FORM, NO_SPECULAR)
-        index = np.flatnonzero(strange)
-        if len(index) and not (mip_level == 0 and self.options.keep_level_0):
-            self._fit(mip_level, size, index, output)
-        return Level(_image_of(output, size, self.svbrdf, self.options), output.status.reshape(size)), len(index)
+
+    def level(self, mip_level: int, made: _Fresh) -> tuple[Level, int]:
+        """One level and the number of its texels that were fitted."""
+        if mip_level == 0 and self.options.keep_level_0:
+            return Level(self.svbrdf.replace(height=None), status=np.full(made.size, KEPT, np.uint8)), 0
+        made.output.status[:] = np.where(made.some, CLOSED_FORM, NO_SPECULAR)
+        index = np.flatnonzero(made.strange)
+        if len(index):
+            self._fit(mip_level, made.size, index, made.output)
+        image = _image_of(made.output, made.size, self.svbrdf, self.options)
+        return Level(image, made.output.status.reshape(made.size)), len(index)
 
     def _fit(self, mip_level: int, size: tuple[int, int], index: NDArray, output: Output) -> None:
         """Fit the texels ``index`` (flat indices) of a level and write them to ``output``."""

@@ -9,7 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.learned.kernels.moments import DEVIATION, FEATURES, SHARPEST, TENSORS, features_of
+from brdffit.learned.kernels.moments import (
+    DEVIATION,
+    FEATURES,
+    FIRST_ODD,
+    SECOND_ODD,
+    SHARPEST,
+    TENSORS,
+    features_of,
+)
 from brdffit.learned.kernels.saying import ALIKE, FARTHEST, LOG_MOST, MOST, OUTPUTS, Said
 from brdffit.learned.residual import CORRECTIONS, compose
 from brdffit.nets.layers import DenseChain
@@ -29,6 +37,10 @@ def difference(features: NDArray) -> NDArray:
     by_normals = np.maximum(2.0 - features[:, TENSORS] - features[:, TENSORS + 1], 0.0)
     x = by_normals + features[:, DEVIATION] + np.maximum(features[:, SHARPEST], 0.0)
     return x / (x + ALIKE)
+
+
+#: Share of the training's features at either end that its range leaves out, and the range's margin by its width.
+_OUTLIERS, _MARGIN = 1e-4, 0.5
 
 
 class Prediction(NamedTuple):
@@ -63,11 +75,20 @@ class ResidualNetwork:
         self.low, self.high = np.full(FEATURES, -np.inf), np.full(FEATURES, np.inf)
 
     def cover(self, features: NDArray) -> None:
-        """Set normalisation and range from training features (n, FEATURES)."""
-        self.mean, self.deviation = features.mean(axis=0), features.std(axis=0) + 1e-3
-        # Quantiles with a margin: a few outliers must not widen the range.
-        low, high = np.quantile(features, (0.001, 0.999), axis=0)
-        margin = 0.05 * (high - low) + 1e-3
+        """Set normalisation and range from training features (n, FEATURES).
+
+        Axes have no sense, so features that change sign with an axis have mean 0 and a symmetric range. Quantiles keep
+        a few outliers from widening the range. The margin is wide: inputs are cut at ``FARTHEST`` deviations, and on
+        texels of held-out sets just outside the range the network is still 2 to 4 dB better than its closed form.
+        """
+        odd = sorted({*FIRST_ODD, *SECOND_ODD})
+        self.mean = features.mean(axis=0)
+        self.mean[odd] = 0.0
+        self.deviation = np.sqrt(np.square(features - self.mean).mean(axis=0)) + 1e-3
+        low, high = np.quantile(features, (_OUTLIERS, 1.0 - _OUTLIERS), axis=0)
+        high[odd] = np.maximum(-low[odd], high[odd])
+        low[odd] = -high[odd]
+        margin = _MARGIN * (high - low) + 1e-3
         self.low, self.high = low - margin, high + margin
 
     def normalised(self, features: NDArray) -> NDArray:

@@ -23,7 +23,7 @@ from brdffit.learned.tasks import ChainTask
 BATCH = 4096
 #: Texels of the training table.
 TEXELS = 160_000
-HIDDEN = (32, 32)
+HIDDEN = (32, 16)
 # The loss of a texel is log(e + this): errors above it count relative to themselves.
 _FLOOR = 0.02
 #: Longest gradient of a texel, so that a few texels with steep errors do not dominate a step.

@@ -20,6 +20,7 @@ from brdffit._jit import inline, kernel
 from brdffit.halfangle.patch import wrapped
 from brdffit.learned.kernels.moments import MOMENTS
 from brdffit.nets.doubles import EIGHT, all_of, eight, exponential, greatest, logarithm, put, root
+from brdffit.nets.vectors import LANES, halves, load, multiply, multiply_add, store
 
 ENERGY, COLOUR, DIFFUSE = MOMENTS, MOMENTS + 1, MOMENTS + 4
 SUMS = MOMENTS + 13
@@ -37,45 +38,65 @@ QUARTER = 0.25
 
 
 @kernel
-def blend_rows(base, row, blended, pitch):
+def part(image, first, stride, width, out, to):
+    """out[to + i] = image[first + i * stride], i < width, of flat arrays."""
+    for i in range(width):
+        out[to + i] = image[first + i * stride]
+
+
+@kernel
+def plain_row(base, row, plain, at, pitch):
+    """Write the channels of a row of the base apart, from ``at`` on, ``pitch`` numbers each, column c at c + 1.
+
+    One column before and some after go on beyond the border. Channels that all texels have in common are left out.
+    """
+    width = base.normal.shape[1]
+    for c in range(CHANNELS):
+        to, first = at + c * pitch, row * width * 3 + c % 3
+        if c < 3:
+            part(base.normal.reshape(-1), first, 3, width, plain, to + 1)
+        elif c < 6 and not base.isotropic:
+            part(base.log_roughness.reshape(-1), first, 3, width, plain, to + 1)
+        elif c == 3:
+            part(base.perceptual.reshape(-1), row * width, 1, width, plain, to + 1)
+        elif 6 <= c < 9:
+            part(base.specular.reshape(-1), first, 3, width, plain, to + 1)
+        elif c >= 9 and base.has_diffuse:
+            part(base.diffuse.reshape(-1), first, 3, width, plain, to + 1)
+        else:
+            continue
+        plain[to] = plain[to + 1 + wrapped(-1, width, base.tile)]
+        for i in range(width, pitch - 1):
+            plain[to + 1 + i] = plain[to + 1 + wrapped(i, width, base.tile)]
+
+
+@kernel
+def blend_rows(base, row, fresh, plain, blended, pitch):
     """Fill ``blended`` (BLENDS, CHANNELS, pitch) float32, flat, for rows ``row`` and row + 1 of the base.
 
-    Column c stands at c + 1; one column before and some after go on beyond the border.
+    Each row is read a quarter up and a quarter down. ``plain``, as large, keeps the four rows that are read: two of
+    them need not be read again where the call before was for the two rows above, that is where not ``fresh``.
     """
-    height, width = base.normal.shape[0], base.normal.shape[1]
-    near, far = np.float32(0.75), np.float32(0.25)
+    height, size = base.normal.shape[0], CHANNELS * pitch
+    three, one = np.float32(0.75), np.float32(0.25)
+    near, far = halves(three, three), halves(one, one)
+    for k in range(0 if fresh else 2, BLENDS):
+        slot = (row + k + BLENDS - 1) % BLENDS
+        plain_row(base, wrapped(row + k - 1, height, base.tile), plain, slot * size, pitch)
     for k in range(BLENDS):
-        own = min(row + k // 2, height - 1)
-        other = wrapped(own + (1 if k % 2 else -1), height, base.tile)
-        for c in range(CHANNELS):
-            at = (k * CHANNELS + c) * pitch
-            if c < 3:
-                for i in range(width):
-                    blended[at + 1 + i] = near * base.normal[own, i, c] + far * base.normal[other, i, c]
-            elif c < 6 and not base.isotropic:
-                for i in range(width):
-                    log_near, log_far = base.log_roughness[own, i, c - 3], base.log_roughness[other, i, c - 3]
-                    blended[at + 1 + i] = near * log_near + far * log_far
-            elif c == 3:
-                for i in range(width):
-                    blended[at + 1 + i] = near * base.perceptual[own, i] + far * base.perceptual[other, i]
-            elif 6 <= c < 9:
-                for i in range(width):
-                    blended[at + 1 + i] = near * base.specular[own, i, c - 6] + far * base.specular[other, i, c - 6]
-            elif c >= 9 and base.has_diffuse:
-                for i in range(width):
-                    blended[at + 1 + i] = near * base.diffuse[own, i, c - 9] + far * base.diffuse[other, i, c - 9]
-            else:
-                continue
-            blended[at] = blended[at + 1 + wrapped(-1, width, base.tile)]
-            for i in range(width, pitch - 1):
-                blended[at + 1 + i] = blended[at + 1 + wrapped(i, width, base.tile)]
+        own = (row + k // 2) % BLENDS * size
+        other = (row + k // 2 + (1 if k % 2 else BLENDS - 1)) % BLENDS * size
+        for i in range(0, size, LANES):
+            i = min(i, size - LANES)
+            store(
+                blended, k * size + i, multiply_add(near, load(plain, own + i), multiply(far, load(plain, other + i)))
+            )
 
 
 @inline
-def gain(rows, at, k, value):
-    """Add to row k."""
-    put(rows, at + k * PLANE, eight(rows, at + k * PLANE) + value)
+def gain(rows, at, k, value, fresh):
+    """Add to row k, or begin it where ``fresh``."""
+    put(rows, at + k * PLANE, value if fresh else eight(rows, at + k * PLANE) + value)
 
 
 @inline
@@ -85,8 +106,8 @@ def across(blended, at, side):
 
 
 @inline
-def add_lobes(blended, at, pitch, side, isotropic, has_diffuse, rows, to):
-    """Add one of the four lobes of each of eight texels to their sums."""
+def add_lobes(blended, at, pitch, side, isotropic, has_diffuse, rows, to, fresh):
+    """Add one of the four lobes of each of eight texels to their sums, or begin them where ``fresh``."""
     x, y, z = across(blended, at, side), across(blended, at + pitch, side), across(blended, at + 2 * pitch, side)
     shrink = 1.0 / root(greatest(x * x + y * y + z * z, 1e-12))
     x, y, z = x * shrink, y * shrink, z * shrink
@@ -111,70 +132,69 @@ def add_lobes(blended, at, pitch, side, isotropic, has_diffuse, rows, to):
         s_xx, s_yy, s_xy = size * (even + odd * half), size * (even - odd * half), size * odd * c
     xx, xy, xz, yy, yz, zz = w * x * x, w * x * y, w * x * z, w * y * y, w * y * z, w * z * z
     p, q, s, t, v = x * x, x * y, y * y, y * z, z * z
-    gain(rows, to, 0, xx * x)
-    gain(rows, to, 1, xx * y)
-    gain(rows, to, 2, xx * z)
-    gain(rows, to, 3, xy * y)
-    gain(rows, to, 4, xy * z)
-    gain(rows, to, 5, xz * z)
-    gain(rows, to, 6, yy * y)
-    gain(rows, to, 7, yy * z)
-    gain(rows, to, 8, yz * z)
-    gain(rows, to, 9, zz * z)
-    gain(rows, to, 10, xx * p)
-    gain(rows, to, 11, xx * q)
-    gain(rows, to, 12, xz * p)
-    gain(rows, to, 13, xx * s)
-    gain(rows, to, 14, xx * t)
-    gain(rows, to, 15, xx * v)
-    gain(rows, to, 16, xy * s)
-    gain(rows, to, 17, xy * t)
-    gain(rows, to, 18, xy * v)
-    gain(rows, to, 19, xz * v)
-    gain(rows, to, 20, yy * s)
-    gain(rows, to, 21, yy * t)
-    gain(rows, to, 22, yy * v)
-    gain(rows, to, 23, yz * v)
-    gain(rows, to, 24, zz * v)
-    gain(rows, to, 25, w * s_xx)
-    gain(rows, to, 26, w * s_yy)
-    gain(rows, to, 27, w * s_xy)
-    gain(rows, to, 28, w / size)
-    gain(rows, to, 29, w * u * u)
-    gain(rows, to, 30, w * u * x)
-    gain(rows, to, 31, w * u * y)
-    gain(rows, to, 32, w * u * z)
-    gain(rows, to, 33, u * xx)
-    gain(rows, to, 34, u * xy)
-    gain(rows, to, 35, u * xz)
-    gain(rows, to, 36, u * yy)
-    gain(rows, to, 37, u * yz)
-    gain(rows, to, 38, u * zz)
-    gain(rows, to, ENERGY, w)
-    gain(rows, to, COLOUR, red)
-    gain(rows, to, COLOUR + 1, green)
-    gain(rows, to, COLOUR + 2, blue)
+    gain(rows, to, 0, xx * x, fresh)
+    gain(rows, to, 1, xx * y, fresh)
+    gain(rows, to, 2, xx * z, fresh)
+    gain(rows, to, 3, xy * y, fresh)
+    gain(rows, to, 4, xy * z, fresh)
+    gain(rows, to, 5, xz * z, fresh)
+    gain(rows, to, 6, yy * y, fresh)
+    gain(rows, to, 7, yy * z, fresh)
+    gain(rows, to, 8, yz * z, fresh)
+    gain(rows, to, 9, zz * z, fresh)
+    gain(rows, to, 10, xx * p, fresh)
+    gain(rows, to, 11, xx * q, fresh)
+    gain(rows, to, 12, xz * p, fresh)
+    gain(rows, to, 13, xx * s, fresh)
+    gain(rows, to, 14, xx * t, fresh)
+    gain(rows, to, 15, xx * v, fresh)
+    gain(rows, to, 16, xy * s, fresh)
+    gain(rows, to, 17, xy * t, fresh)
+    gain(rows, to, 18, xy * v, fresh)
+    gain(rows, to, 19, xz * v, fresh)
+    gain(rows, to, 20, yy * s, fresh)
+    gain(rows, to, 21, yy * t, fresh)
+    gain(rows, to, 22, yy * v, fresh)
+    gain(rows, to, 23, yz * v, fresh)
+    gain(rows, to, 24, zz * v, fresh)
+    gain(rows, to, 25, w * s_xx, fresh)
+    gain(rows, to, 26, w * s_yy, fresh)
+    gain(rows, to, 27, w * s_xy, fresh)
+    gain(rows, to, 28, w / size, fresh)
+    gain(rows, to, 29, w * u * u, fresh)
+    gain(rows, to, 30, w * u * x, fresh)
+    gain(rows, to, 31, w * u * y, fresh)
+    gain(rows, to, 32, w * u * z, fresh)
+    gain(rows, to, 33, u * xx, fresh)
+    gain(rows, to, 34, u * xy, fresh)
+    gain(rows, to, 35, u * xz, fresh)
+    gain(rows, to, 36, u * yy, fresh)
+    gain(rows, to, 37, u * yz, fresh)
+    gain(rows, to, 38, u * zz, fresh)
+    gain(rows, to, ENERGY, w, fresh)
+    gain(rows, to, COLOUR, red, fresh)
+    gain(rows, to, COLOUR + 1, green, fresh)
+    gain(rows, to, COLOUR + 2, blue, fresh)
     if has_diffuse:
         for channel in range(3):
             d = QUARTER * across(blended, at + (9 + channel) * pitch, side)
-            gain(rows, to, DIFFUSE + 3 * channel, d * x)
-            gain(rows, to, DIFFUSE + 3 * channel + 1, d * y)
-            gain(rows, to, DIFFUSE + 3 * channel + 2, d * z)
+            gain(rows, to, DIFFUSE + 3 * channel, d * x, fresh)
+            gain(rows, to, DIFFUSE + 3 * channel + 1, d * y, fresh)
+            gain(rows, to, DIFFUSE + 3 * channel + 2, d * z, fresh)
 
 
 @kernel
 def sample_columns(blended, pitch, first, count, isotropic, has_diffuse, rows):
     """Sums (SUMS, PLANE) of ``count`` columns from ``first`` on of two rows of level 0, the second from COLUMNS on."""
-    none = all_of(0.0)
     for row in range(2):
         for i in range(0, count, EIGHT):
             to = row * COLUMNS + i
-            for k in range(SUMS):
-                put(rows, to + k * PLANE, none)
-            for half in range(2):
-                at = (2 * row + half) * CHANNELS * pitch + 1 + first + i
-                add_lobes(blended, at, pitch, -1, isotropic, has_diffuse, rows, to)
-                add_lobes(blended, at, pitch, 1, isotropic, has_diffuse, rows, to)
+            up = 2 * row * CHANNELS * pitch + 1 + first + i
+            down = up + CHANNELS * pitch
+            add_lobes(blended, up, pitch, -1, isotropic, has_diffuse, rows, to, True)
+            add_lobes(blended, up, pitch, 1, isotropic, has_diffuse, rows, to, False)
+            add_lobes(blended, down, pitch, -1, isotropic, has_diffuse, rows, to, False)
+            add_lobes(blended, down, pitch, 1, isotropic, has_diffuse, rows, to, False)
 
 
 @kernel
@@ -203,11 +223,12 @@ def sum_blocks(base, columns, rows, side, out):
     width, pair = base.normal.shape[1], min(2, side)
     pitch = width + 2 + COLUMNS
     blended, sums = np.zeros(BLENDS * CHANNELS * pitch, np.float32), np.zeros(SUMS * PLANE)
+    plain = np.zeros_like(blended)
     for i in range(columns.size):
         for k in range(SUMS):
             out[i, k] = 0.0
         for row in range(rows[i], rows[i] + side, 2):
-            blend_rows(base, row, blended, pitch)
+            blend_rows(base, row, True, plain, blended, pitch)
             for first in range(columns[i], columns[i] + side, COLUMNS):
                 count = min(COLUMNS, columns[i] + side - first)
                 padded = (count + EIGHT - 1) // EIGHT * EIGHT

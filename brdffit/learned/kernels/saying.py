@@ -45,7 +45,7 @@ from brdffit.learned.kernels.moments import (
 )
 from brdffit.nets.convolution import convolve
 from brdffit.nets.doubles import EIGHT, all_of, chosen, eight, exponential, greatest, least, put, root
-from brdffit.nets.vectors import LANES
+from brdffit.nets.vectors import LANES, PIXELS, load, multiply_add8, repeated8, stored8
 
 #: Normalised features beyond this are cut: a network says nothing sensible of what it has never seen.
 FARTHEST = 4.0
@@ -93,41 +93,55 @@ def bounded(a, b, c, log_low, round_lobe):
     return mean + shrink * half, mean - shrink * half, shrink * off
 
 
+@inline
+def normalise(feature, i, said, inputs, result):
+    """Normalised features of eight texels as planes (FEATURES, PLANE), and whether all lie in the covered range."""
+    inside = all_of(1.0)
+    for k in range(FEATURES):
+        value = eight(feature, k * PLANE + i)
+        inside = least(inside, least(value - said.low[k], said.high[k] - value))
+        put(inputs, k * PLANE + i, least(greatest((value - said.mean[k]) * said.inverse[k], -FARTHEST), FARTHEST))
+    put(result, COVERED * PLANE + i, inside)
+
+
+@kernel
+def first_layer(inputs, weights, bias, y, count, ins, outs, slope):
+    """The first layer, of planes (FEATURES, PLANE): ``convolve`` without bringing the inputs into blocks."""
+    for o in range(outs):
+        for column in range(0, count, PIXELS):
+            sums = repeated8(bias, o * LANES)
+            for k in range(FEATURES):
+                weight = load(weights, ((o * ins + k // LANES) * LANES + k % LANES) * LANES)
+                sums = multiply_add8(sums, inputs, k * PLANE + column, 1, weight)
+            stored8(sums, y, (o * count + column) * LANES, LANES, slope)
+
+
 @kernel
 def say(rows, at, count, said, scratch, feature, closed, inputs, hidden, other, result):
     """Fill ``result`` (RESULT, PLANE) of ``count`` (a multiple of 8, at most PLANE) texels whose sums begin at ``at``.
 
-    ``scratch`` (OUTPUTS, PLANE), ``feature``, ``closed`` float64; ``inputs``, ``hidden``, ``other`` float32 blocks.
+    ``scratch`` (OUTPUTS, PLANE), ``feature``, ``closed`` float64; ``inputs`` (FEATURES, PLANE), ``result`` float32;
+    ``hidden``, ``other`` float32 blocks.
     """
     for i in range(0, count, EIGHT):
         energy = greatest(eight(rows, at + i + ENERGY * PLANE), 1e-30)
         features(rows, at + i, PLANE, 1.0 / energy, feature, closed, i, PLANE)
-    blocks = (FEATURES + LANES - 1) // LANES
-    for k in range(FEATURES):
-        mean, inverse = said.mean[k], said.inverse[k]
-        to = (k // LANES) * count * LANES + k % LANES
-        for i in range(count):
-            value = (feature[k * PLANE + i] - mean) * inverse
-            inputs[to + i * LANES] = min(max(value, -FARTHEST), FARTHEST)
-    for k in range(FEATURES, blocks * LANES):
-        for i in range(count):
-            inputs[(k // LANES) * count * LANES + i * LANES + k % LANES] = 0.0
-    x, y = inputs, hidden
-    for layer in range(said.layers.shape[0]):
+        normalise(feature, i, said, inputs, result)
+    last, x, y = said.layers.shape[0] - 1, hidden, other
+    for layer in range(last + 1):
         ins, outs, first, bias = (
             said.layers[layer, 0], said.layers[layer, 1], said.layers[layer, 2], said.layers[layer, 3]
         )  # fmt: skip
-        slope = np.float32(1.0) if layer == said.layers.shape[0] - 1 else np.float32(0.1)
+        slope = np.float32(1.0) if layer == last else np.float32(0.1)
+        if layer == 0:
+            first_layer(inputs, said.weights[first:bias], said.weights[bias:], x, count, ins, outs, slope)
+            continue
         convolve(x, said.weights[first:bias], said.weights[bias:], y, 0, 1, count, 0, ins, outs, 0, slope)
-        x, y = y, (other if layer % 2 == 0 else hidden)
+        x, y = y, x
     for k in range(OUTPUTS):
         for i in range(count):
             scratch[k * PLANE + i] = x[i * LANES + k]
     for i in range(0, count, EIGHT):
-        inside = all_of(1.0)
-        for k in range(FEATURES):
-            value = eight(feature, k * PLANE + i)
-            inside = least(inside, least(value - said.low[k], said.high[k] - value))
         by_normals = greatest(
             2.0 - eight(feature, TENSORS * PLANE + i) - eight(feature, (TENSORS + 1) * PLANE + i), 0.0
         )
@@ -163,59 +177,66 @@ def say(rows, at, count, said, scratch, feature, closed, inputs, hidden, other, 
         put(result, 3 * PLANE + i, a)
         put(result, 4 * PLANE + i, b)
         put(result, 5 * PLANE + i, c)
+        bright = eight(rows, at + i + COLOUR * PLANE) + eight(rows, at + i + (COLOUR + 1) * PLANE)
+        bright = bright + eight(rows, at + i + (COLOUR + 2) * PLANE)
+        lit = chosen(bright - 4.0 * DARKEST, all_of(1.0), all_of(0.0))
+        put(result, SOME * PLANE + i, lit)
+        factor = factor * lit
         length = 1.0 / (n_x * n_x + n_y * n_y + said.up * n_z * n_z)
         for k in range(3):
             put(result, (6 + k) * PLANE + i, factor * eight(rows, at + i + (COLOUR + k) * PLANE))
             d = at + i + (DIFFUSE + 3 * k) * PLANE
             light = n_x * eight(rows, d) + n_y * eight(rows, d + PLANE) + said.up * n_z * eight(rows, d + 2 * PLANE)
             put(result, (9 + k) * PLANE + i, greatest(light * length, 0.0))
-        put(result, COVERED * PLANE + i, inside)
-        bright = eight(rows, at + i + COLOUR * PLANE) + eight(rows, at + i + (COLOUR + 1) * PLANE)
-        bright = bright + eight(rows, at + i + (COLOUR + 2) * PLANE)
-        put(result, SOME * PLANE + i, chosen(bright - 4.0 * DARKEST, all_of(1.0), all_of(0.0)))
+
+
+@kernel
+def interleave(planes, at, count, out, to):
+    """Write three planes (3, PLANE) that begin at ``at`` as triples from out[to] on."""
+    for i in range(count):
+        out[to + 3 * i] = planes[at + i]
+        out[to + 3 * i + 1] = planes[at + PLANE + i]
+        out[to + 3 * i + 2] = planes[at + 2 * PLANE + i]
 
 
 @kernel
 def hand_over(result, at, count, first, has_diffuse, normal, log_roughness, specular, diffuse, strange, some):
-    """Texels ``first`` and on of a level from ``result``."""
+    """Texels ``first`` and on of a level, whose images are flat, from ``result``."""
+    interleave(result, at, count, normal, 3 * first)
+    interleave(result, at + 3 * PLANE, count, log_roughness, 3 * first)
+    interleave(result, at + 6 * PLANE, count, specular, 3 * first)
+    if has_diffuse:
+        interleave(result, at + 9 * PLANE, count, diffuse, 3 * first)
     for i in range(count):
-        j, k = first + i, at + i
-        lit = result[SOME * PLANE + k]
-        for c in range(3):
-            normal[j, c] = result[c * PLANE + k]
-            log_roughness[j, c] = result[(3 + c) * PLANE + k]
-            specular[j, c] = lit * result[(6 + c) * PLANE + k]
-        if has_diffuse:
-            for c in range(3):
-                diffuse[j, c] = result[(9 + c) * PLANE + k]
-        some[j] = lit > 0.0
-        strange[j] = lit > 0.0 and not result[COVERED * PLANE + k] > 0.0
+        lit = result[at + SOME * PLANE + i] > 0.0
+        some[first + i] = lit
+        strange[first + i] = lit and not result[at + COVERED * PLANE + i] > 0.0
 
 
 @kernel
 def say_rows(
-    base, tiles, tiles_row, first_row, rows, width, said, pooled, normal, log_roughness, specular, diffuse, strange,
-    some,
+    base, tiles, tiles_row, first_row, rows, width, said, pooled, pooled_row, normal, log_roughness, specular, diffuse,
+    strange, some,
 ):  # fmt: skip
     """Rows ``first_row`` (even) and on of a level ``width`` texels wide, whose images are flat.
 
     Their sums stand in ``tiles``, which begin with row ``tiles_row`` (even); where that is empty, the level is level 0
-    and they come from the base. Those of the next level go to ``pooled`` unless that is empty: half the size, both
-    sides even.
+    and they come from the base. Those of the next level go to ``pooled``, which begins with row ``pooled_row`` (even),
+    unless that is empty: half the size, both sides even.
     """
     from_base, pitch = tiles.size == 0, width + 2 + COLUMNS
     blended = np.zeros(BLENDS * CHANNELS * pitch if from_base else 1, np.float32)
-    sums = np.zeros(SUMS * PLANE if from_base else 1)
+    plain, sums = np.zeros_like(blended), np.zeros(SUMS * PLANE if from_base else 1)
     scratch, feature, closed = np.zeros(OUTPUTS * PLANE), np.zeros(FEATURES * PLANE), np.zeros(CLOSED * PLANE)
-    inputs = np.zeros((FEATURES + LANES - 1) // LANES * LANES * PLANE, np.float32)
+    inputs = np.zeros(FEATURES * PLANE, np.float32)
     hidden, other = np.zeros(said.widest * LANES * PLANE, np.float32), np.zeros(said.widest * LANES * PLANE, np.float32)
-    result = np.zeros(RESULT * PLANE)
+    result = np.zeros(RESULT * PLANE, np.float32)
     across = (width + COLUMNS - 1) // COLUMNS
     source, at = (sums if from_base else tiles), 0
     for row in range(first_row, first_row + rows, 2):
         pair = min(2, first_row + rows - row)
         if from_base:
-            blend_rows(base, row, blended, pitch)
+            blend_rows(base, row, row == first_row, plain, blended, pitch)
         for first in range(0, width, COLUMNS):
             count = min(COLUMNS, width - first)
             padded = (count + EIGHT - 1) // EIGHT * EIGHT
@@ -234,4 +255,5 @@ def say_rows(
                     normal, log_roughness, specular, diffuse, strange, some,
                 )  # fmt: skip
             if pooled.size:
-                pool_columns(source, at, count, base.has_diffuse, pooled, row // 2, first // 2, width // 2)
+                to = row // 2 - pooled_row
+                pool_columns(source, at, count, base.has_diffuse, pooled, to, first // 2, width // 2)
