@@ -66,6 +66,12 @@ def test_a_neural_material_from_a_file_is_a_method_of_the_table(tmp_path, monkey
     asked = ["compare", str(tmp_path / "pebbles"), "--truth", "microgeometry", "--quick", "-o", str(report)]
     asked += ["--methods", "lean,neural", "--set", f"neural.file={file}"]
     monkeypatch.setattr("sys.argv", ["brdffit", *asked])
+    of = CompareOptions.of
+    monkeypatch.setattr(
+        CompareOptions,
+        "of",
+        lambda **given: dataclasses.replace(of(**given), pixels=32, frames=4, texels=4, pairs=16, lobes=1),
+    )
     found = CliRunner().invoke(main, asked, catch_exceptions=False)
     assert found.exit_code == 0 and "traced, at 45 degrees" in found.output
     assert f"The neural material is that of '{file}'" in found.output

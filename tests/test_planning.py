@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -49,11 +50,14 @@ def folder(tmp_path_factory):
     return folder
 
 
+#: A plan takes ten seconds of a core: one scene belongs to the quick tests.
+SCENES = ["glossy-tiles", *(pytest.param(name, marks=pytest.mark.slow) for name in ("hammered-metal", "plaster-wall"))]
+
+
 @pytest.fixture(scope="module")
-def plans(folder):
-    """Plan of each of them, seed 0."""
-    names = ("hammered-metal", "glossy-tiles", "plaster-wall")
-    return {name: plan_scene(read_scene(folder / f"{name}.toml"), name).surfaces[0] for name in names}
+def plan_of(folder):
+    """A function that returns the plan of a scene by its name, seed 0; each is made once."""
+    return cache(lambda name: plan_scene(read_scene(folder / f"{name}.toml"), name).surfaces[0])
 
 
 def question(losses, asked=None, facts=None, budget=0.1):
@@ -151,35 +155,35 @@ def test_facts_follow_target_set_and_reach(folder):
     assert "correlation" in settled(scene, even, (0, 4))
 
 
-def test_what_is_dropped_loses_no_more_than_the_plan_says(folder, plans):
+@pytest.mark.parametrize("name", SCENES)
+def test_what_is_dropped_loses_no_more_than_the_plan_says(folder, plan_of, name):
     """On texels and directions that the plan has not seen, within the noise of those."""
-    for name, planned in plans.items():
-        scene = read_scene(folder / f"{name}.toml")
-        work = SurfaceWork(scene, scene.surfaces[0], seed=7)
-        base = to_svbrdf(work.texture_set, without=planned.unread)
-        pyramid = NonlinearFit().bake_lobes(base, FitOptions(**planned.options))
-        _, lost = work.outcome(planned, Baked.of_lobes(pyramid), 0.0)
-        assert lost.db <= planned.lost_at_most_db + 3.0 * lost.error, name
-        assert planned.lost_at_most_db <= scene.budget.db
+    scene, planned = read_scene(folder / f"{name}.toml"), plan_of(name)
+    work = SurfaceWork(scene, scene.surfaces[0], seed=7)
+    base = to_svbrdf(work.texture_set, without=planned.unread)
+    pyramid = NonlinearFit().bake_lobes(base, FitOptions(**planned.options))
+    _, lost = work.outcome(planned, Baked.of_lobes(pyramid), 0.0)
+    assert lost.db <= planned.lost_at_most_db + 3.0 * lost.error
+    assert planned.lost_at_most_db <= scene.budget.db
 
 
-def test_no_effect_does_harm(plans):
+@pytest.mark.parametrize("name", SCENES)
+def test_no_effect_does_harm(plan_of, name):
     """With an effect the SNR is no lower than without, but for noise, and what a fit by the loss "seen" gives up of the
     plan's squared error for a picture that looks right: less than a budget."""
-    for planned in plans.values():
-        for row in planned.effects:
-            if row.contributes_db is not None and row.name != "refinement":
-                assert row.contributes_db >= -3.0 * row.uncertain_db - 0.1, (planned.name, row.name)
+    for row in plan_of(name).effects:
+        if row.contributes_db is not None and row.name != "refinement":
+            assert row.contributes_db >= -3.0 * row.uncertain_db - 0.1, row.name
 
 
 @pytest.mark.slow
-def test_a_plan_depends_on_its_seed_alone_and_hardly_on_that(folder, plans):
+def test_a_plan_depends_on_its_seed_alone_and_hardly_on_that(folder, plan_of):
     def verdicts_of(planned):
         return [(row.name, row.on, row.why, row.contributes_db) for row in planned.effects], planned.options
 
     scene = read_scene(folder / "glossy-tiles.toml")
     again = plan_scene(scene, "again", threads=1).surfaces[0]
-    assert verdicts_of(again) == verdicts_of(plans["glossy-tiles"])
+    assert verdicts_of(again) == verdicts_of(plan_of("glossy-tiles"))
     other = plan_scene(scene, "other", seed=1).surfaces[0]
     budget = scene.budget.db
     for one, two in zip(again.effects, other.effects, strict=True):
@@ -190,8 +194,9 @@ def test_a_plan_depends_on_its_seed_alone_and_hardly_on_that(folder, plans):
         assert one.on == two.on or not clear, one.name
 
 
-def test_scenes_that_differ_get_plans_that_differ(plans):
-    assert len({planned.off for planned in plans.values()}) == 3
+@pytest.mark.slow
+def test_scenes_that_differ_get_plans_that_differ(plan_of):
+    assert len({plan_of(name).off for name in ("glossy-tiles", "hammered-metal", "plaster-wall")}) == 3
 
 
 def test_a_scene_is_planned_and_baked_by_the_command_line(folder, tmp_path):

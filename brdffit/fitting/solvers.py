@@ -14,6 +14,7 @@ import contextlib
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import nlopt
@@ -78,17 +79,24 @@ class Problem:
         self.setting = np.zeros(SETTINGS)
         self.setting[LOG_LOW : SHAPE_HIGH + 1] = search.log_low, search.log_high, search.shape_low, search.shape_high
         self.evaluations = 0
-        # Compiled for these very functions: passing a value of function type would cost 150 microseconds a call.
-        self._evaluate = compiled(
-            evaluate_table, (self.gradient, self.table, self.setting, kernels.moments, kernels.log_normalisation,
-                             self.gradient, self.scratch),
-        )  # fmt: skip
-        self._settle = compiled(
-            settle_scale, (self.gradient, self.table, self.setting, kernels.values, kernels.log_normalisation,
-                           search.exponent, self.work, self.report),
-        )  # fmt: skip
         self._base: Base | None = None
         self._tabulate: Callable | None = None
+
+    # Compiled for these very functions, which no cache keeps: seconds for each model, where they are called. Passing a
+    # value of function type would cost 150 microseconds a call.
+    @cached_property
+    def _evaluate(self) -> Callable:
+        return compiled(
+            evaluate_table, (self.gradient, self.table, self.setting, self.kernels.moments,
+                             self.kernels.log_normalisation, self.gradient, self.scratch),
+        )  # fmt: skip
+
+    @cached_property
+    def _settle(self) -> Callable:
+        return compiled(
+            settle_scale, (self.gradient, self.table, self.setting, self.kernels.values,
+                           self.kernels.log_normalisation, self.search.exponent, self.work, self.report),
+        )  # fmt: skip
 
     def set_footprint(self, base: Base, column: int, row: int) -> NDArray:
         """Tabulate the target of one texel; returns its closed-form starts (STARTS, 6)."""
