@@ -31,7 +31,6 @@ from brdffit.probes.filtering import (
     LevelRequest,
     filter_levels,
     level_requests,
-    measured,
     with_radiance,
 )
 from brdffit.probes.harmonics import irradiance_nine, nine_basis
@@ -172,13 +171,12 @@ def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = No
     sun = find_sun(source)
     if preset.container == "exr" and options.split:
         rest, _ = split_bright(levels[0].radiance, options.split)
-        levels[0] = with_radiance(levels[0], rest)
+        levels[0] = with_radiance(levels[0], rest, source, threads)
         notes.append(f"Level 0 is cut at {options.split:g} times the mean: light the scene with the sun besides.")
     scale, clamped, largest = _within_format(levels, preset, options.scale, notes)
     if clamped:
-        levels = [with_radiance(level, np.minimum(level.radiance, np.float32(largest))) for level in levels]
-    # What is measured is what is stored: texels may have been fitted, cut or clamped since they were filtered.
-    levels = measured(levels, source, threads)
+        cut = [np.minimum(level.radiance, np.float32(largest)) for level in levels]
+        levels = [with_radiance(level, each, source, threads) for level, each in zip(levels, cut, strict=True)]
     if scale != 1.0:
         levels = [replace(level, radiance=level.radiance * np.float32(scale)) for level in levels]
         irradiance, nine = replace(irradiance, radiance=irradiance.radiance * np.float32(scale)), nine * scale
@@ -213,14 +211,14 @@ def _filtered(
     narrow = [str(each.level) for each in requests if each.points > 1]
     if narrow:
         notes.append(f"Lobes of level {', '.join(narrow)} are narrower than a texel there and were averaged over it.")
-    missed = [str(e.request.level) for e in levels if e.error is not None and e.error > options.tolerance]
+    missed = [str(e.request.level) for e in levels if e.error > options.tolerance]
     if missed and options.method == "tree":
         notes.append(f"Level {', '.join(missed)} errs by more than the tolerance of {options.tolerance:g}.")
     if options.fit == "lookup":
         from brdffit.probes.lookup import fitted_to_lookup
 
         fitted, before, after = fitted_to_lookup(source, [each.radiance for each in levels], curve, threads)
-        levels = [with_radiance(level, radiance) for level, radiance in zip(levels, fitted, strict=True)]
+        levels = [with_radiance(level, each, source, threads) for level, each in zip(levels, fitted, strict=True)]
         notes.append(f"Levels were fitted to what {curve.name} looks up: error {before:.3f} before, {after:.3f} after.")
     return levels, irradiance
 
@@ -351,8 +349,8 @@ def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], comman
             "roughness": round(each.request.roughness, 6),
             "averaged_over_texels": each.request.points > 1,
             "copied": each.request.alpha == 0.0,
-            "error": None if each.error is None else round(each.error, 6),
-            "bias": None if each.bias is None else round(each.bias, 6),
+            "error": round(each.error, 6),
+            "bias": round(each.bias, 6),
             "energy": round(each.energy, 6),
             "seconds": round(each.seconds, 4),
         }
@@ -384,7 +382,7 @@ def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], comman
         "irradiance": {
             "size": IRRADIANCE_SIZE,
             "is": "irradiance over pi",
-            "error": round(probe.irradiance.error or 0.0, 6),
+            "error": round(probe.irradiance.error, 6),
             "harmonics": np.round(probe.nine, 7).tolist(),
             "harmonics_error": round(probe.nine_error, 6),
         },

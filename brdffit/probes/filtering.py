@@ -65,8 +65,8 @@ class FilteredLevel:
         radiance: (6, n, n, 3) float32.
         seconds: processor time of filtering, all threads.
         error: relative L1 of ``radiance`` against brute force on sampled texels; of a copy, against the source on all
-            texels; None if not measured.
-        bias: sum over these texels against that of brute force, less one; None if not measured.
+            texels; NaN if not measured.
+        bias: sum over these texels against that of brute force, less one; NaN if not measured.
         energy: mean of the channels' sum over that of the source. Where a level has few texels, even exact values miss
             1 by half a percent, since they sample the sphere.
         tau: threshold of the tree; None for other methods.
@@ -75,8 +75,8 @@ class FilteredLevel:
     request: LevelRequest
     radiance: NDArray
     seconds: float
-    error: float | None
-    bias: float | None
+    error: float
+    bias: float
     energy: float
     tau: float | None = None
 
@@ -212,7 +212,7 @@ def _filtered(make: _Make, request: LevelRequest, tau: float | None) -> Filtered
     """One level by the method, not measured."""
     began = time.process_time()
     radiance = make(request, tau).astype(np.float32)
-    return FilteredLevel(request, radiance, time.process_time() - began, None, None, 1.0, tau)
+    return FilteredLevel(request, radiance, time.process_time() - began, np.nan, np.nan, 1.0, tau)
 
 
 def _checked(
@@ -288,34 +288,16 @@ def _approximation(cube: NDArray, options: FilterOptions) -> Callable[[LevelRequ
     return by_table
 
 
-def with_radiance(level: FilteredLevel, radiance: NDArray) -> FilteredLevel:
-    """The same level with other radiance (6, n, n, 3), not measured; the level itself where no texel differs."""
+def with_radiance(level: FilteredLevel, radiance: NDArray, cube: NDArray, threads: int = 1) -> FilteredLevel:
+    """A level of ``cube`` with other radiance (6, n, n, 3), measured anew; the level itself where no texel differs."""
     if np.array_equal(radiance, level.radiance):
         return level
-    return replace(level, radiance=radiance, error=None, bias=None)
-
-
-def measured(levels: Sequence[FilteredLevel], cube: NDArray, threads: int = 1) -> list[FilteredLevel]:
-    """Levels with their error, bias and energy; those of levels that were not measured, or changed since, are measured.
-
-    Args:
-        levels: filtered from ``cube``.
-        cube: (6, N, N, 3), the source.
-        threads: workers.
-    """
-    if all(level.error is not None for level in levels):
-        return list(levels)
-    source, energy = packed_source(cube), float(mean_radiance(cube).sum())
-    out = []
-    for level in levels:
-        if level.error is None:
-            if level.request.alpha == 0.0:
-                error, bias = _error_and_bias(level.radiance, resized(cube, level.request.n))
-            else:
-                error, bias = Exact(source, level.request, threads).error_and_bias(level.radiance)
-            level = replace(level, error=error, bias=bias, energy=_energy(level.radiance, energy))
-        out.append(level)
-    return out
+    if level.request.alpha == 0.0:
+        error, bias = _error_and_bias(radiance, resized(cube, level.request.n))
+    else:
+        error, bias = Exact(packed_source(cube), level.request, threads).error_and_bias(radiance)
+    energy = _energy(radiance, float(mean_radiance(cube).sum()))
+    return replace(level, radiance=radiance, error=error, bias=bias, energy=energy)
 
 
 def _energy(level: NDArray, energy: float) -> float:

@@ -42,8 +42,8 @@ def probe_picture(probe: Probe, path: Path, tolerance: float, threads: int) -> N
     at, y = latlong_directions(_WIDTH // 2), 2 * _TITLE
     for level in probe.levels[1:]:
         n, points = level.request.n, level.request.points
-        error = "" if level.error is None else f", error {level.error:.2%}"
-        sheet.text(_GAP, y + 2, f"level {level.request.level}: {n}x{n}, roughness {level.request.roughness:.2f}{error}")
+        title = f"level {level.request.level}: {n}x{n}, roughness {level.request.roughness:.2f}"
+        sheet.text(_GAP, y + 2, f"{title}, error {level.error:.2%}")
         # Both are looked up in the same way, so that the difference shows the filter and not the look-up.
         stored = look_up(level.radiance, at) / probe.scale
         exact = look_up(resized(tree.level(n * points, level.request.alpha, tau, threads), n), at)
