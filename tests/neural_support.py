@@ -84,7 +84,14 @@ def predicted(network: Network, query, sigma=0.0):
         half /= np.linalg.norm(half)
         u = half[:2] + features[:2] * half[2]
         along = [z - features[0] * a - features[1] * b for a, b, z in ((lx, ly, lz), (vx, vy, vz))]
-        directions = [2 * u[0], 2 * u[1], vx, vy, -0.25 * math.log(u @ u + 1e-3), *along]
+        directions = [
+            2 * u[0],
+            2 * u[1],
+            vx,
+            vy,
+            -0.25 * math.log(u @ u + math.exp(-4 * min(max(features[2], -0.5), 2.5))),
+            *along,
+        ]
     out = chain(network, "decoder", np.concatenate([features, directions]))
     return (np.exp(out[:3]) - 1) * (0.1 + 1 / (1 + np.exp(-out[3:])))
 

@@ -1,5 +1,9 @@
 """Traced height fields against closed cases, a search of all triangles, and the laws of light."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -338,3 +342,12 @@ def test_measured_queries_are_read_as_written_and_others_refused(tmp_path):
     (tmp_path / "bad.npz").write_bytes(b"PK no archive")
     with pytest.raises(InputError, match="holds no queries"):
         read_queries(tmp_path / "bad.npz")
+
+
+def test_the_tracer_comes_from_the_disk_in_a_second_process():
+    """It is compiled for kernels as values: for the kernels themselves each process would compile it anew."""
+    code = "from brdffit.microgeometry import tracer\nprint(sum(tracer.reflect_loop().stats.cache_misses.values()))"
+    command = [sys.executable, "-c", code]
+    for _ in range(2):
+        found = subprocess.run(command, capture_output=True, text=True, check=True, cwd=Path(__file__).parent.parent)
+    assert found.stdout.strip() == "0"

@@ -30,9 +30,12 @@ def network_of(**design):
     for name, layers in network.design.layers.items():
         for k in range(len(layers)):
             weight, bias = network.taken(name, k)
-            gain = {("offset", 3): 8.0, ("decoder", 3): 0.35}.get((name, k), 1.0)
+            gain = {("offset", 3): 8.0, ("decoder", 3): 0.28}.get((name, k), 1.0)
             network.put(name, k, weight * gain, 0.1 * rng.standard_normal(len(bias)))
-    network.pyramid.reshape(-1, 8)[:, :7] *= 4
+    texels = network.pyramid.reshape(-1, 8)
+    texels[:, :7] *= 4
+    # Lobes of an alpha about 0.2, within the bounds of the width.
+    texels[:, 2] = 0.8 + 0.4 * rng.uniform(-1, 1, len(texels))
     return network
 
 

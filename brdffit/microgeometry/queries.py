@@ -38,6 +38,25 @@ class QuerySource(Protocol):
         ...
 
 
+@runtime_checkable
+class TracedSource(QuerySource, Protocol):
+    """A source that knows its surface, by which a neural material can be guided."""
+
+    @property
+    def normals(self) -> NDArray:
+        """(H, W, 3) unit shading normals of the tile."""
+        ...
+
+    @property
+    def alpha2(self) -> NDArray:
+        """(H, W) alpha^2 of the lobes, the mean of both axes."""
+        ...
+
+    def parallax(self, position: NDArray, view: NDArray) -> NDArray:
+        """(n, 2) from positions (n, 2) on the plane to the columns and rows seen from views (n, 3), in texels."""
+        ...
+
+
 class Queries(NamedTuple):
     """Measured queries of one material, from a goniometer or from another program.
 

@@ -6,16 +6,20 @@ import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit._jit import numba_type
 from brdffit.microgeometry.heightfield import HeightField
 from brdffit.microgeometry.kernels.paths import reflect_rows
 from brdffit.microgeometry.kernels.traversal import meet_rows
+from brdffit.render._kernels import P_NORMAL, P_ROUGHNESS, PERCEPTUAL, log_normalisation_type, shade_type
 from brdffit.render._packing import shading_kernels
 from brdffit.render.terms import Terms
+from brdffit.roughness import tensor_from_log
 from brdffit.svbrdf import Svbrdf
 
 #: Samples that one call of the kernel traces.
@@ -40,6 +44,22 @@ class Effects:
 
 #: Without effects a surface reflects as its maps do.
 NO_EFFECTS = Effects(False, False, 0)
+
+
+@cache
+def reflect_loop() -> Any:
+    """``reflect_rows``, compiled once for all models and terms, whose kernels are values of function type.
+
+    Compiled for the kernels themselves it would not be found on the disk again: they are others in each process.
+    """
+    lines, rows, singles = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1), np.float32)
+    surface = (singles, singles[0], np.zeros((1, 3), np.int64), singles, np.zeros(3, np.int64), 0, False, False, 0.0)
+    asked = (False, False, 0, 0.0, rows, lines, rows, rows, np.uint64(0), 0, singles)
+    signature = (*map(numba_type, (*surface, *asked)), log_normalisation_type, shade_type)
+    if signature not in reflect_rows.overloads:
+        reflect_rows.compile(signature)
+    reflect_rows.disable_compile()
+    return reflect_rows
 
 
 class Microgeometry:
@@ -85,6 +105,19 @@ class Microgeometry:
         return self.field.size
 
     @property
+    def normals(self) -> NDArray:
+        """(H, W, 3) float32 unit shading normals, those of the maps."""
+        return self.field.packed.texels[:, P_NORMAL : P_NORMAL + 3].reshape(*self.size, 3)
+
+    @property
+    def alpha2(self) -> NDArray:
+        """(H, W) float32 alpha^2 of the lobes, the mean of both axes."""
+        found = self.field.packed.texels[:, P_ROUGHNESS : P_ROUGHNESS + 3]
+        if self.field.packed.roughness_kind == PERCEPTUAL:
+            return np.square(np.square(found[:, 0])).reshape(self.size)
+        return 0.5 * tensor_from_log(found.reshape(*self.size, 3))[..., :2].sum(axis=2)
+
+    @property
     def notes(self) -> list[str]:
         """Sentences for the user."""
         return self.field.notes
@@ -122,11 +155,12 @@ class Microgeometry:
         arrays = [np.ascontiguousarray(each, np.float64) for each in (position, sigma, light, view)]
         out = np.empty((count, 3), np.float32)
         field, packed, effects = self.field, self.field.packed, self.effects
+        loop = reflect_loop()
         cap = 1.0 - math.cos(math.radians(0.5 * self.light_size))
 
         def work(first: int) -> None:
             rows = slice(first, min(first + _PIECE, count))
-            reflect_rows(
+            loop(
                 field.height, field.maxima, field.levels, packed.texels, packed.levels[0], packed.roughness_kind,
                 packed.has_shape, field.shading == "geometry", field.reference, effects.displacement,
                 effects.shadowing, effects.bounces, cap, *(each[rows] for each in arrays), np.uint64(seed), first,

@@ -30,6 +30,8 @@ from brdffit.neural.pyramid import Layout
 
 #: Parts of a batch, each with gradients of its own.
 PARTS = 8
+#: Feature of the width of a lobe at first: that of an alpha of 0.03.
+_NARROW = 1.73
 #: Shift by an offset of 1 for a view of slope 1, as a share of the longer side of the tile.
 _REACH = 0.05
 
@@ -40,8 +42,8 @@ class Design:
 
     Attributes:
         size: (height, width) of level 0 in texels, powers of two.
-        tilted: whether the decoder gets directions relative to a tilt that each texel learns, instead of those of light
-            and view as they are.
+        tilted: whether the decoder gets directions relative to a frame of each texel, a tilt and a width, instead of
+            those of light and view as they are.
         with_offset: whether the pyramid is read at a learned parallax offset.
     """
 
@@ -81,6 +83,8 @@ class Network:
         self.layout, self.base = Layout(design.size), Layout(design.size, 1)
         rng = np.random.default_rng([seed, 1])
         self.pyramid = _texels(self.layout, rng)
+        if design.tilted:
+            self.pyramid[2::TEXEL] += _NARROW
         self.offset_texture = _texels(self.base, rng)
         self.decoder = np.zeros(LAYERS * MATRIX, np.float32)
         self.offset = np.zeros(LAYERS * MATRIX, np.float32)
@@ -155,15 +159,16 @@ class Reader:
         self.offset_texture = np.zeros(network.base.floats, np.float32)
         self.refresh(0.0)
 
-    def refresh(self, sigma: float, as_stored: bool = False) -> None:
+    def refresh(self, sigma: float, of_offset: float | None = None, *, as_stored: bool = False) -> None:
         """Copy the network's textures, blurred by a Gaussian of ``sigma`` texels of level 0.
 
-        ``as_stored`` rounds them to float16, as files hold them.
+        ``of_offset`` is that of the offset texture, if it is another; ``as_stored`` rounds to float16, as files do.
         """
         network = self.network
+        self.sigma, self.of_offset = sigma, sigma if of_offset is None else of_offset
         jobs = [
-            self.pool.submit(network.layout.read_through, network.pyramid, sigma, self.pyramid),
-            self.pool.submit(network.base.read_through, network.offset_texture, sigma, self.offset_texture),
+            self.pool.submit(network.layout.read_through, network.pyramid, self.sigma, self.pyramid),
+            self.pool.submit(network.base.read_through, network.offset_texture, self.of_offset, self.offset_texture),
         ]
         for job in jobs:
             job.result()
@@ -221,7 +226,7 @@ def _padded(rows: NDArray) -> NDArray:
 
 
 class Learner(Reader):
-    """A reader that also computes losses and gradients of batches."""
+    """A reader that also computes losses and gradients of batches, through the adjoint of the last blur."""
 
     def __init__(self, network: Network, threads: int | None = None) -> None:
         super().__init__(network, threads)
@@ -231,20 +236,17 @@ class Learner(Reader):
         }  # fmt: skip
         self.parts = {name: np.zeros(PARTS * size, np.float32) for name, size in sizes.items()}
         self.sums = {name: np.zeros(size, np.float32) for name, size in sizes.items()}
-        self.sigma = 0.0
 
-    def refresh(self, sigma: float, as_stored: bool = False) -> None:
-        """See ``Reader``; ``accumulate`` then applies the adjoint of the same blur."""
-        super().refresh(sigma, as_stored)
-        self.sigma = sigma
-
-    def accumulate(self, queries: NDArray, targets: NDArray, logarithmic: bool) -> tuple[float, dict[str, NDArray]]:
+    def accumulate(
+        self, queries: NDArray, targets: NDArray, logarithmic: bool, learn_offset: bool = True
+    ) -> tuple[float, dict[str, NDArray]]:
         """The loss of a batch, averaged over queries and channels, and its gradient by each of ``parameters``.
 
         Args:
             queries: (n, QUERY) float32, n a multiple of ROWS.
             targets: (n, 3) float32.
             logarithmic: the paper's loss on logarithms; otherwise a loss that noise in the targets does not bias.
+            learn_offset: whether the offset module gets gradients, too.
         """
         network = self.network
 
@@ -252,12 +254,14 @@ class Learner(Reader):
             own, mine = self.scratch[part], self._gradients_of(part)
             train_part(
                 first, last, queries, targets, network.layout.rooms, self.pyramid, self.offset_texture, network.decoder,
-                network.offset, network.reach, network.design.tilted, network.design.with_offset, logarithmic,
+                network.offset, network.reach, network.design.tilted, network.design.with_offset,
+                learn_offset, logarithmic,
                 mine["pyramid"], mine["offset_texture"], mine["decoder"], mine["offset"], own.rows, own.hidden,
                 own.offset_hidden, own.d_hidden, own.transposed, own.places, losses,
             )  # fmt: skip
 
-        return self._gathered(work, len(queries), 3 * len(queries), tuple(network.parameters()))
+        names = tuple(name for name in network.parameters() if learn_offset or "offset" not in name)
+        return self._gathered(work, len(queries), 3 * len(queries), names)
 
     def guide(self, queries: NDArray, shifts: NDArray) -> tuple[float, dict[str, NDArray]]:
         """The loss of the offset module alone on a batch, and its gradient by each of that module's parameters.
@@ -292,9 +296,11 @@ class Learner(Reader):
             self.in_parts(size, lambda _, first, last, name=name: self._sum(name, first, last))  # type: ignore[misc]
         scale = np.float32(1.0 / terms)
         gradients = {name: self.sums[name] * scale for name in names}
-        for name, layout in (("pyramid", self.network.layout), ("offset_texture", self.network.base)):
+        for name, layout, sigma in (
+            ("pyramid", self.network.layout, self.sigma), ("offset_texture", self.network.base, self.of_offset),
+        ):  # fmt: skip
             if name in names:
-                gradients[name] = layout.pull_back(gradients[name], self.sigma)
+                gradients[name] = layout.pull_back(gradients[name], sigma)
         return float(losses[:, 0].sum()) * float(scale), gradients
 
     def _sum(self, name: str, first: int, last: int) -> None:

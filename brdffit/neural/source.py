@@ -124,7 +124,7 @@ def describe(material: NeuralMaterial, path: Path) -> list[str]:
     """Lines that describe a material and its file."""
     meta, design = material.meta, material.network.design
     height, width = design.size
-    how = "as the paper" if meta.get("paper") else "with a learned tilt"
+    how = "as the paper" if meta.get("paper") else "guided by its surface" if meta.get("guided") else "unguided"
     lines = [
         f"{path.name}: {width}x{height} texels, {len(material.network.layout.sizes)} levels, "
         f"{design.weights} weights, {'with' if design.with_offset else 'without'} offset, {how}; "

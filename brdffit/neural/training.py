@@ -2,9 +2,9 @@
 
 As the paper (``paper=True``): a fixed set of queries of 64 samples each, directions as they are, a loss on logarithms,
 and a blur of 8 texels at first, halved with every ninth of the training. By default the decoder gets directions
-relative to a learned tilt; the loss is not biased by noise, so that one sample a query is enough; new queries are made
-all the time, each used in a few steps since tracing takes longer than learning; and the blur ends at half of the
-training.
+relative to a frame of the texel; a surface that is traced tells frames and offset (``guidance``); the loss is not
+biased by noise, so that one sample a query is enough; new queries are made all the time, each used in a few steps since
+tracing takes longer than learning; and the blur ends at half of the training.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from brdffit.errors import InputError
 from brdffit.machine import free_memory
-from brdffit.microgeometry.queries import Queries, QuerySource
+from brdffit.microgeometry.queries import Queries, QuerySource, TracedSource
 from brdffit.nets.adam import Adam
-from brdffit.neural.kernels.dense import LAYERS, MATRIX
+from brdffit.neural.guidance import held_frames, set_frames, true_shifts
+from brdffit.neural.kernels.dense import LAYERS, MATRIX, ROWS
 from brdffit.neural.kernels.material import QUERY
 from brdffit.neural.material import KIND, arrays_of, meta_of
 from brdffit.neural.measured import Measured
@@ -36,8 +37,10 @@ _PAPER_RATE = 1e-3
 _LEARNED, _KEPT = 4, 12
 #: Queries for each texel, and samples for each query, of the paper's fixed set.
 _PAPER_QUERIES, _PAPER_SAMPLES = 220, 64
-#: Standard deviation of the blur at first, in texels of level 0.
-_BLUR = 8.0
+#: One in how many queries teaches a guided offset.
+_GUIDES = 4
+#: Standard deviation of the blur at first, in texels of level 0, and where the surface guides.
+_BLUR, _GUIDED_BLUR = 8.0, 2.0
 #: Held-out queries of each level, and samples of each.
 _JUDGED, _JUDGED_SAMPLES = 4096, 64
 _SEED_OF_FIGURE = 1 << 40
@@ -121,6 +124,10 @@ class NeuralTask:
             self.answers = Answers(source, size, on_plane=paper)
         self.trained = {name: Trained(each, np.zeros_like(each)) for name, each in self.network.parameters().items()}
         self.held = Held(self.answers, size, _JUDGED, _JUDGED_SAMPLES, paper)
+        #: The surface that guides offset and frames; without one, the loss of the colours teaches them.
+        self.guide = source if isinstance(source, TracedSource) and not paper else None
+        if self.guide is not None:
+            set_frames(self.guide, self.network)
         self.batches: dict[int, tuple[NDArray, NDArray]] = {}
         texels, self.count = size[0] * size[1], len(batch_of(size, np.random.default_rng(0)))
         self.kept = max(1, round(_PAPER_QUERIES * texels / self.count))
@@ -148,16 +155,28 @@ class NeuralTask:
     @property
     def blur(self) -> float:
         """Standard deviation of the textures' blur now, in texels of level 0."""
-        return _BLUR * 2.0 ** (-(9.0 if self.paper else 12.0) * self.done)
+        first = _BLUR if self.guide is None else _GUIDED_BLUR
+        return first * 2.0 ** (-(9.0 if self.paper else 12.0) * self.done)
 
     def accumulate(self, rng: np.random.Generator) -> float:
         """Set the gradients to those of one batch; returns its loss."""
-        self.learner.refresh(self.blur)
-        queries, targets = self.batch(self._number(rng))
-        loss, gradients = self.learner.accumulate(queries, targets, self.paper)
+        self._refresh()
+        number = self._number(rng)
+        queries, targets = self.batch(number)
+        loss, gradients = self.learner.accumulate(queries, targets, self.paper, self.guide is None)
+        if self.guide is not None:
+            held_frames(gradients["pyramid"])
+        if self.guide is not None and self.network.design.with_offset:
+            every = _GUIDES if len(queries) >= _GUIDES * ROWS else 1
+            asked = np.ascontiguousarray(queries[self.step % every :: every])
+            gradients |= self.learner.guide(asked, true_shifts(self.guide, self.network.design.size, asked))[1]
         for name, gradient in gradients.items():
             self.trained[name].gradient = gradient
         return loss
+
+    def _refresh(self, as_stored: bool = False) -> None:
+        """Blur the textures as they are to be now; an offset that is guided has no noise to be kept from."""
+        self.learner.refresh(self.blur, None if self.guide is None else 0.0, as_stored=as_stored)
 
     def _number(self, rng: np.random.Generator) -> int:
         """Number of the batch of this step: a new one every ``_LEARNED`` steps, otherwise one that is kept."""
@@ -185,24 +204,25 @@ class NeuralTask:
 
     def figure(self) -> float:
         """Mean over levels of the SNR in dB on held-out queries, with the textures as they are stored."""
-        self.learner.refresh(self.blur, as_stored=True)
+        self._refresh(as_stored=True)
         error, power = self.held.errors(self.learner)
         return float(np.mean(10.0 * np.log10(power / np.maximum(error, 1e-12))))
 
     def arrays(self) -> dict[str, NDArray]:
         """Arrays of the material, with its textures under the present blur."""
-        self.learner.refresh(self.blur)
+        self._refresh()
         return arrays_of(self.learner)
 
     def meta(self) -> dict[str, Any]:
         """Provenance, and the error of each level."""
-        self.learner.refresh(self.blur, as_stored=True)
+        self._refresh(as_stored=True)
         error, power = self.held.errors(self.learner)
         return {
             **meta_of(self.network, self.paper),
             **self.named,
             "model": "neural",
             "paper": self.paper,
+            "guided": self.guide is not None,
             "seed": self.seed,
             "mse_by_level": [float(f"{each:.4g}") for each in error],
             "snr_db_by_level": [

@@ -152,6 +152,7 @@ def reflect_rows(height, maxima, levels, texels, level, roughness_kind, has_shap
         light, view: (n, 3).
         seed, first: of the random numbers, and the number of the first sample.
         out: (n, 3) float32.
+        log_normalisation, shade: kernels of the model, as values of function type (``tracer.reflect_loop``).
     """
     block, scratch, sums = np.empty((BLOCK_ROWS, 1), np.float32), make_scratch(1), np.empty(3)
     drawing = (

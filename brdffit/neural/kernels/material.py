@@ -5,13 +5,15 @@
 
 Rows of textures go down, +Y up: hence the sign. The factor of the sigmoid is the "shadow mask" of the authors' code.
 
-Directions, either as printed: (l_x, l_y, v_x, v_y); or seen from a tilt t = (f_0, f_1) that the texel learns, so that
-a sharp lobe has a simple place: with the half vector h, u = h_xy + t h_z and g = u_x^2 + u_y^2,
+Directions, either as printed: (l_x, l_y, v_x, v_y); or seen from the texel's own frame, a tilt t = (f_0, f_1) and a
+width of its lobe w = exp(-4 f_2), so that a sharp lobe has a simple place: with the half vector h, u = h_xy + t h_z
+and g = u_x^2 + u_y^2,
 
-    (2 u_x, 2 u_y, v_x, v_y, -ln(g + 0.001) / 4, l_z - t . l_xy, v_z - t . v_xy):
+    (2 u_x, 2 u_y, v_x, v_y, -ln(g + w) / 4, l_z - t . l_xy, v_z - t . v_xy):
 
-u is 0 where h is the normal of slopes t, a lobe of GGX is a power of alpha^2 + g, and the last two are cosines to that
-normal, up to its length. By t: du = h_z dt, d(l_z - t . l_xy) = -l_xy dt.
+u is 0 where h is the normal of slopes t, a lobe of GGX with alpha^2 = w is w / (g + w)^2 up to h_z, whose logarithm is
+linear in f_2 and the fifth of these, and the last two are cosines to that normal, up to its length. By t: du = h_z dt,
+d(l_z - t . l_xy) = -l_xy dt; by f_2: d(-ln(g + w) / 4) = w / (g + w) df_2.
 
 Losses of a channel, with target y: (ln(1 + p) - ln(1 + y))^2 as the paper, with p at least -0.2; or its linearised
 form (p - y)^2 / (1 + p)^2 with the denominator held, whose gradient at p = E[y] has the mean 0 whatever the noise of
@@ -37,13 +39,20 @@ OUTPUTS = 6
 #: Inputs of the decoder as printed, and seen from a learned tilt.
 PLAIN_INPUTS, TILTED_INPUTS = CHANNELS + 4, CHANNELS + 7
 _LEAST_MASK = _F(0.1)
-_NARROWEST = _F(0.001)
+#: Bounds of f_2: lobes of an alpha between 0.007 and 2.7.
+_WIDEST, _NARROWEST = _F(-0.5), _F(2.5)
 _LEAST = _F(-0.2)
 
 
 @inline
 def _sigmoid(x):
     return _F(1.0) / (_F(1.0) + math.exp(-x))
+
+
+@inline
+def _width(feature):
+    """w of a texel."""
+    return math.exp(_F(-4.0) * min(max(feature, _WIDEST), _NARROWEST))
 
 
 @inline
@@ -71,7 +80,7 @@ def direct(tilted, queries, start, inputs):
         t0, t1 = inputs[i * NARROW], inputs[i * NARROW + 1]
         ux, uy = hx * scale + t0 * hz, hy * scale + t1 * hz
         inputs[at], inputs[at + 1], inputs[at + 2], inputs[at + 3] = _F(2.0) * ux, _F(2.0) * uy, vx, vy
-        inputs[at + 4] = _F(-0.25) * math.log(ux * ux + uy * uy + _NARROWEST)
+        inputs[at + 4] = _F(-0.25) * math.log(ux * ux + uy * uy + _width(inputs[i * NARROW + 2]))
         inputs[at + 5] = lz - t0 * lx - t1 * ly
         inputs[at + 6] = vz - t0 * vx - t1 * vy
         inputs[at + 7] = one
@@ -80,14 +89,18 @@ def direct(tilted, queries, start, inputs):
 
 @kernel
 def direct_back(queries, start, inputs, d_inputs):
-    """Add what goes through tilted directions to dL/df_0 and dL/df_1."""
+    """Add what goes through directions in a texel's own frame to dL/df_0, dL/df_1 and dL/df_2."""
     for i in range(ROWS):
         lx, ly, vx, vy = queries[start + i, 3], queries[start + i, 4], queries[start + i, 5], queries[start + i, 6]
         at, own = i * NARROW + CHANNELS, i * NARROW
         hx, hy, hz = lx + vx, ly + vy, height_of(lx, ly) + height_of(vx, vy)
         hz = hz / math.sqrt(max(hx * hx + hy * hy + hz * hz, _F(1e-12)))
         ux, uy = _F(0.5) * inputs[at], _F(0.5) * inputs[at + 1]
-        by_log = _F(-0.5) * d_inputs[at + 4] / (ux * ux + uy * uy + _NARROWEST)
+        width = _width(inputs[own + 2])
+        by_sum = d_inputs[at + 4] / (ux * ux + uy * uy + width)
+        by_log = _F(-0.5) * by_sum
+        if _WIDEST < inputs[own + 2] < _NARROWEST:
+            d_inputs[own + 2] += width * by_sum
         d_inputs[own] += hz * (_F(2.0) * d_inputs[at] + by_log * ux) - lx * d_inputs[at + 5] - vx * d_inputs[at + 6]
         d_inputs[own + 1] += (
             hz * (_F(2.0) * d_inputs[at + 1] + by_log * uy) - ly * d_inputs[at + 5] - vy * d_inputs[at + 6]
@@ -143,13 +156,14 @@ def loss_back(out, targets, start, logarithmic, d_out):
 @kernel
 def train_part(
     first, last, queries, targets, rooms, pyramid, offset_texture, decoder, offsets, reach, tilted, with_offset,
-    logarithmic, pyramid_gradient, texture_gradient, decoder_gradient, offsets_gradient, rows, hidden, offset_hidden,
-    d_hidden, transposed, places, losses,
+    learn_offset, logarithmic, pyramid_gradient, texture_gradient, decoder_gradient, offsets_gradient, rows, hidden,
+    offset_hidden, d_hidden, transposed, places, losses,
 ):  # fmt: skip
     """Add the gradients of blocks ``first`` to ``last`` of a batch, and their losses to losses[0].
 
     Scratch of one part: ``rows`` six arrays of NARROW columns, ``hidden``, ``offset_hidden`` and ``d_hidden`` of PITCH,
-    ``transposed`` two networks, ``places`` what textures keep, and shifts; see ``Scratch``.
+    ``transposed`` two networks, ``places`` what textures keep, and shifts; see ``Scratch``. Offsets get no gradient
+    unless ``learn_offset``.
     """
     ins = TILTED_INPUTS if tilted else PLAIN_INPUTS
     inputs, out, d_out, d_inputs, offset_inputs, offset_out = rows
@@ -174,7 +188,7 @@ def train_part(
             direct_back(queries, start, inputs, d_inputs)
         spread(d_inputs)
         scatter(pyramid_gradient, 2, d_inputs, corners, fractions)
-        if with_offset:
+        if with_offset and learn_offset:
             by_position(pyramid, d_inputs, corners, fractions, d_shift)
             offset_back(
                 transposed[1], texture_gradient, offsets_gradient, queries, start, reach, offset_inputs, offset_hidden,

@@ -1,0 +1,56 @@
+"""What a traced surface tells of itself, so that a neural material need not find it out from colours.
+
+Learned from colours alone, the parallax offset and the frames of texels are pulled about by the glints of a sharp lobe:
+Adam moves a texel by about its rate in every step, however little that step knows, and a texel off there is another
+glint. A traced surface has a height and normals: the offset is taught where each query is seen (``kernels.offset``),
+and the frame of a texel stays as it is: its tilt is the mean normal under its filter, its width the mean alpha^2 and
+the variance of slopes there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdffit.footprint import filter_channels, get_pixel_filter
+from brdffit.microgeometry.queries import TracedSource
+from brdffit.neural.kernels.textures import TEXEL
+from brdffit.neural.network import Network
+from brdffit.neural.questions import directions
+from brdffit.textures.encoding import slopes_of_normals
+
+#: Channels of a texel of the pyramid that hold its frame, and the steepest slope that is taken.
+FRAME = 3
+_STEEPEST = 3.0
+
+
+def true_shifts(source: TracedSource, size: tuple[int, int], queries: NDArray) -> NDArray:
+    """(n, 2) float32, from positions of queries (n, QUERY) to what is seen, across and down in texels of level 0."""
+    scale = np.array(source.size[::-1], float) / np.array(size[::-1], float)
+    found = source.parallax(queries[:, :2].astype(np.float64) * scale, directions(queries)[1])
+    return np.ascontiguousarray(found / scale, np.float32)
+
+
+def set_frames(source: TracedSource, network: Network) -> None:
+    """Give each texel of the pyramid the frame of the surface under its filter, see ``kernels.material``.
+
+    The width is that of a lobe whose distribution of slopes has the variance of the normals' slopes and of their lobes:
+    per axis, half of |m|^2 in the mean less half of the mean's, and alpha^2 / 2 for a lobe of GGX cut where LEAN cuts
+    it (Olano and Baker 2010), both times 2 to be an alpha^2.
+    """
+    bounds, pixel_filter = network.layout.bounds, get_pixel_filter("gaussian")
+    slopes = slopes_of_normals(source.normals)
+    both = np.concatenate([slopes, np.square(slopes).sum(axis=2, keepdims=True) + source.alpha2[..., None]], axis=2)
+    for k, size in enumerate(network.layout.sizes):
+        normal = filter_channels(source.normals, size, pixel_filter, "tile")
+        moments = filter_channels(both, size, pixel_filter, "tile")
+        width = moments[..., 2] - np.square(moments[..., :2]).sum(axis=2)
+        texels = network.pyramid[bounds[k] : bounds[k + 1]].reshape(*size, TEXEL)
+        texels[..., :2] = -normal[..., :2] / np.maximum(normal[..., 2:], 1.0 / _STEEPEST)
+        texels[..., 2] = -0.25 * np.log(np.maximum(width, 1e-4))
+
+
+def held_frames(gradient: NDArray) -> NDArray:
+    """The gradient of a pyramid, without that of its frames, in place."""
+    gradient.reshape(-1, TEXEL)[:, :FRAME] = 0.0
+    return gradient
