@@ -9,9 +9,11 @@
   root is concave, so the weighted square lies above it and touches it at the fit before.
 - SEEN: |T - F|^2 / (T + k), k = mean T + 4 d / pi, the squared error relative to the light seen there: the lobe, its
   mean over all half angles, and the diffuse albedo d in units of a lobe (d / pi over a lobe's 1 / (4 (n.l) (n.v))).
-- DISPLAYED: |T - F|^2 / (T + k / 5)^1.5, the squared error on a screen. With the mean light exposed as grey, Reinhard's
-  curve y = x / (1 + x) and sRGB's y^(1/2.2) have a slope whose square falls as x^-1.1 below the mean and as x^-2.9 far
-  above it; the power 1.5 and a fifth of the mean approximate both (benchmarks/seen.py).
+- DISPLAYED: |T - F|^2 / (T + k')^1.5, k' = D + (mean T + D) / 2, D = 16 d / (9 pi), the squared error on a screen. D
+  is the diffuse light, 4 d / pi (n.l) (n.v) in units of a lobe, in the mean over cosine-distributed l and v. With the
+  mean light exposed as grey, Reinhard's curve y = x / (1 + x) and sRGB's y^(1/2.2) have a slope whose square falls as
+  x^-1.1 below the mean and as x^-2.9 far above it; the power 1.5 and half of the mean approximate both
+  (benchmarks/seen.py).
 
 The knee is 3% of the target's highest value on the nodes: below it RELATIVE counts errors absolutely, and L1 squared.
 An energy constraint needs no loss of its own: lobes are normalised, so a scale held at the filtered colour keeps the
@@ -25,6 +27,7 @@ import math
 import numpy as np
 
 from brdffit._jit import kernel
+from brdffit.halfangle.lights import segment
 from brdffit.halfangle.quadrature import BLUE, GREEN, MEASURE, RED, WEIGHT
 
 real = np.float32
@@ -36,8 +39,11 @@ LOSS_CODES = {"l2": L2, "relative": RELATIVE, "l1": L1, "seen": SEEN, "displayed
 #: Reweighted fits of L1 after the first.
 ROUNDS = 4
 _KNEE = 0.03
-# DISPLAYED: the power of its denominator, and the share of k in it.
-_POWER, _DARK = 1.5, 0.2
+# DISPLAYED: the share of the mean light in its denominator. Mean of (n.l) (n.v) over cosine-distributed l and v.
+_DARK, _BOTH_COSINES = 0.5, 4.0 / 9.0
+# Mean squared error of diffuse light, in units of a lobe, for a squared error of 1 in the vector d n: see
+# ``set_diffuse_error``.
+_DIFFUSE_ERROR = 2.0 / math.pi**2
 
 
 @kernel
@@ -64,7 +70,7 @@ def weigh_relatively(nodes):
 
 @kernel
 def weigh_as_seen(nodes, moment, displayed):
-    """WEIGHT <- MEASURE k / (T + k), k = mean T + 4 d / pi; if ``displayed``, MEASURE (k' / (T + k'))^1.5, k' = k / 5.
+    """WEIGHT <- MEASURE k / (T + k); if ``displayed``, MEASURE (k' / (T + k'))^1.5. See the head of this file.
 
     T and d are sums over channels. ``moment`` (DIFFUSE_MOMENT,): its first nine entries are the sums of diffuse colour
     times normal, (channel, axis); d of a channel is the length of its sum.
@@ -77,15 +83,52 @@ def weigh_as_seen(nodes, moment, displayed):
     diffuse = 0.0
     for channel in range(3):
         diffuse += math.sqrt(moment[3 * channel] ** 2 + moment[3 * channel + 1] ** 2 + moment[3 * channel + 2] ** 2)
-    knee = mean / max(whole, real(1e-30)) + real(4.0 / math.pi * diffuse)
+    mean /= max(whole, real(1e-30))
+    diffuse *= 4.0 / math.pi
     if displayed:
-        knee *= real(_DARK)
+        diffuse *= _BOTH_COSINES
+        knee = real(_DARK) * (mean + real(diffuse)) + real(diffuse)
+    else:
+        knee = mean + real(diffuse)
     if not knee > real(0.0):
         return
     for j in range(nodes.shape[1]):
         # A filter's negative weights can make the target negative.
         share = knee / (max(red[j] + green[j] + blue[j], real(0.0)) + knee)
         weight[j] = measure[j] * (share * np.sqrt(share) if displayed else share)
+
+
+@kernel
+def set_diffuse_error(table, moment, norm, form):
+    """``form`` (6,) <- A (xx, yy, zz, xy, xz, yz) of the error n' A n that a normal n causes in diffuse light.
+
+    The normal of the lobe shades the diffuse colour too: a lobe that leans towards a bright bevel leaves the diffuse
+    light behind. Bumps reflect g.l of a channel from the direction l, g = sum_i w_i d_i n_i, and the level d n.l with
+    d = g.n, so e = g - (g.n) n is missing, |e|^2 = |g|^2 - (g.n)^2. In units of a lobe (times 4 (n.v) / pi, since a
+    lobe is shaded over 4 (n.v)) the mean square over cosine-distributed l and v is
+    16 / pi^2 E[v_z^2] E[(e.l)^2] = 16 / pi^2 (1 / 2) (|e|^2 / 4) for e across the normal of the texture. It counts with
+    the mean weight of the nodes, over the target's norm as their errors do.
+
+    ``moment`` as in ``weigh_as_seen``; ``norm``: <T,T> over all sizes; 0 for fits that do not see diffuse light.
+    """
+    for k in range(6):
+        form[k] = 0.0
+    if not norm > 0.0:
+        return
+    factor = 0.0
+    for s in range(table.lights.shape[0]):
+        weight = segment(table, s)[WEIGHT]
+        for j in range(weight.size):
+            factor += weight[j]
+    factor *= _DIFFUSE_ERROR / norm
+    for channel in range(3):
+        x, y, z = moment[3 * channel], moment[3 * channel + 1], moment[3 * channel + 2]
+        form[0] += factor * (y * y + z * z)
+        form[1] += factor * (x * x + z * z)
+        form[2] += factor * (x * x + y * y)
+        form[3] -= factor * x * y
+        form[4] -= factor * x * z
+        form[5] -= factor * y * z
 
 
 @kernel

@@ -37,7 +37,7 @@ class FitOptions(LobeOptions):
         "fit also what a renderer interpolates, in l2 under points (docs/maths.md)",
     )
     specular: str = option(
-        "auto", "scale of the lobe: fitted freely, bounded to 10% about the filtered colour, or held there",
+        "auto", "scale of the lobe: fitted freely, bounded to 0.91 to 1.09 of the filtered colour, or held",
         names=SPECULARS,
     )  # fmt: skip
     normal: str = option("free", "fit the normal, or hold the mean", names=("free", "mean"))

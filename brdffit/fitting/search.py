@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from brdffit._jit import inline, kernel, part
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, Space, minimise
+from brdffit.fitting.losses import DISPLAYED, SEEN, set_diffuse_error
 from brdffit.fitting.scoring import (
     BLUE_SCALE,
     EVALUATIONS,
@@ -36,6 +37,8 @@ from brdffit.halfangle.frame import eigen_log
 from brdffit.halfangle.lights import LOBE_BLUR, evaluate_table, segment
 from brdffit.halfangle.merging import Cells
 from brdffit.halfangle.objective import (
+    DIFFUSE,
+    DIFFUSE_FORM,
     ENERGY,
     FREE,
     HELD,
@@ -191,6 +194,8 @@ def fit_on_nodes(scratch, table, search, follow, moments_kernel, values_kernel, 
     setting[SCALE_LOW], setting[SCALE_HIGH] = search.scale_low, search.scale_high
     setting[LOG_LOW], setting[LOG_HIGH] = search.log_low, search.log_high
     setting[SHAPE_LOW], setting[SHAPE_HIGH] = search.shape_low, search.shape_high
+    sees_diffuse = search.sky > 0.0 and (search.loss == SEEN or search.loss == DISPLAYED)
+    set_diffuse_error(table, scratch.moment, norm if sees_diffuse else 0.0, setting[DIFFUSE : DIFFUSE + DIFFUSE_FORM])
     aim(table, colour, report[TARGET_NORM], setting)
     status = search_from_starts(scratch, table, search, follow, moments_kernel, log_normalisation)
     report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = colour[0], colour[1], colour[2]

@@ -80,9 +80,10 @@ _NARROW_SPREAD = 0.002
 _HIDDEN, _LOST = 0.3, 0.6
 # Added to a footprint's strata where its samples are compared with them, so that small footprints may be cut up more.
 _FEW_STRATA = 16
-# Where the mean alpha^2 is below this multiple of the smallest light's, lobes may look alike: those whose errors differ
-# by less than a share plus a floor. Then the positions that are tried between the found lobe (0) and the averaged (1).
-_SHARP, _ALIKE, _ALIKE_FLOOR, _NEARER = 4.0, 0.02, 1e-2, (1.0, 0.75, 0.5, 0.25)
+# Where the mean alpha^2 is below this multiple of the smallest light's a^2, lobes may look alike: mirrors, if their
+# errors differ by less than a share plus a floor; wider lobes if by less, down to nothing at that multiple. Then the
+# positions that are tried between the found lobe (0) and the averaged (1).
+_SHARP, _ALIKE, _ALIKE_FLOOR, _NEARER = 2.0, 0.02, 1e-2, (1.0, 0.75, 0.5, 0.25)
 #: How often a texel may add nodes around a lobe that was found where there are none.
 GUARDS = 3
 
@@ -120,8 +121,9 @@ def fit_texel(
         if expected <= search.allowed and within_domain(theta, search):
             return FLAT if expected <= FLAT_EXCESS else CLOSED_FORM
     sized = lights[0, BASE_BLUR] > 0.0
-    sharp = sized and base.isotropic and search.same_model and average_of(lobes, count, scratch.average)
-    sharp = sharp and math.exp(scratch.average[2]) < _SHARP * lights[0, BASE_BLUR]
+    alike = 0.0
+    if sized and base.isotropic and search.same_model and average_of(lobes, count, scratch.average):
+        alike = 1.0 - math.exp(scratch.average[2]) / (_SHARP * lights[0, BASE_BLUR])
     if search.rendered and some:
         report[ALBEDO] = albedo_of_lobes(lobes, count, base.isotropic)
     isotropic = search.free & FREE_ANISOTROPY == 0
@@ -191,8 +193,8 @@ def fit_texel(
         fall_back(scratch, rules[tier], search, values_kernel, log_normalisation)
     elif report[RESIDUAL] > BESIDE:
         status = POOR
-    elif sharp and some:
-        prefer_average(scratch, rules[tier], search, moments_kernel, values_kernel, log_normalisation)
+    elif alike > 0.0 and some:
+        prefer_average(scratch, rules[tier], search, alike, moments_kernel, values_kernel, log_normalisation)
     if not some:
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         return NO_SPECULAR
@@ -222,15 +224,15 @@ def average_of(lobes, count, average):
 
 
 @part
-def prefer_average(scratch, table, search, moments_kernel, values_kernel, log_normalisation):
+def prefer_average(scratch, table, search, alike, moments_kernel, values_kernel, log_normalisation):
     """Replace the lobe that was found by the averaged one, or by one between, if the lights hardly distinguish them.
 
     Lobes much sharper than the smallest light differ only in their tails, which are in proportion to alpha^2: too wide
-    a lobe glows where the base is dark.
+    a lobe glows where the base is dark. ``alike``: 1 for mirrors, falling to 0 where lights show a lobe's width.
     """
     theta, start, setting, space = scratch.theta, scratch.start, scratch.setting, scratch.space
     found = evaluate_table(theta, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation)
-    bound = found + _ALIKE * (1.0 + found) + _ALIKE_FLOOR
+    bound = found + alike * (_ALIKE * (1.0 + found) + _ALIKE_FLOOR)
     for k in range(len(_NEARER)):
         for p in range(PARAMETERS):
             start[p] = theta[p] + _NEARER[k] * (scratch.average[p] - theta[p])

@@ -34,6 +34,8 @@ from brdffit.errors import InputError
 from brdffit.halfangle.frame import eigen_log, scaled_frame
 from brdffit.halfangle.objective import (
     BOUNDED,
+    DIFFUSE,
+    DIFFUSE_FORM,
     ENERGY,
     HELD,
     LOG_HIGH,
@@ -218,6 +220,21 @@ def add_walls(theta, l1, l2, cos, sin, setting, value, gradient):
     return value
 
 
+@inline
+def add_diffuse(n_x, n_y, n_z, form, gradient):
+    """Add the gradient of n' A n to ``gradient``; returns n' A n.
+
+    ``form``: xx, yy, zz, xy, xz, yz of A. With n = (-m, 1) n_z, dn / dm_x = n_z (n_x n - e_x).
+    """
+    a_x = form[0] * n_x + form[3] * n_y + form[4] * n_z
+    a_y = form[3] * n_x + form[1] * n_y + form[5] * n_z
+    a_z = form[4] * n_x + form[5] * n_y + form[2] * n_z
+    value = n_x * a_x + n_y * a_y + n_z * a_z
+    gradient[0] += 2.0 * n_z * (n_x * value - a_x)
+    gradient[1] += 2.0 * n_z * (n_y * value - a_y)
+    return value
+
+
 @kernel
 def evaluate_table(theta, table, setting, moments_kernel, log_normalisation, gradient, work):
     """Relative squared error minus 1, and its gradient by theta: ``evaluate`` over all sizes of light.
@@ -277,4 +294,5 @@ def evaluate_table(theta, table, setting, moments_kernel, log_normalisation, gra
             n_x, n_y, inverse, (wide1, wide2, cos, sin, kept[_OWN + 2], kept[_OWN + 3]),
             (slope1, slope2, slope12), kept[_OWN + 4], by_td, by_dd, kept[_SUMS : _SUMS + 14], log_k_slope, gradient,
         )  # fmt: skip
+    value += add_diffuse(n_x, n_y, inverse, setting[DIFFUSE : DIFFUSE + DIFFUSE_FORM], gradient)
     return add_walls(theta, l1, l2, cos, sin, setting, value, gradient)

@@ -152,9 +152,11 @@ def lobe_values_type(floats):  # type: ignore[no-untyped-def]
 
 # Entries of a setting: treatment of the scale (FREE, HOLDS or BOUNDED); 1 / TT (FREE) or |rho|^2 / TT; bounds of the
 # log eigenvalues and of s; for BOUNDED, the least and greatest scale in units of the filtered colour, and the share of
-# a light from everywhere, which sees only the energy.
-HELD, SCALE, LOG_LOW, LOG_HIGH, SHAPE_LOW, SHAPE_HIGH, SCALE_LOW, SCALE_HIGH, ENERGY = range(9)
-SETTINGS = 9
+# a light from everywhere, which sees only the energy; A (xx, yy, zz, xy, xz, yz) of the error n' A n of diffuse light,
+# which ``evaluate_table`` adds.
+HELD, SCALE, LOG_LOW, LOG_HIGH, SHAPE_LOW, SHAPE_HIGH, SCALE_LOW, SCALE_HIGH, ENERGY, DIFFUSE = range(10)
+DIFFUSE_FORM = 6
+SETTINGS = DIFFUSE + DIFFUSE_FORM
 FREE, HOLDS, BOUNDED = 0.0, 1.0, 2.0
 
 # Weight of the walls at the edge of the domain, in relative squared error per squared log alpha^2: 0.1 outside costs
