@@ -41,11 +41,6 @@ def perceptual_from_alpha(alpha: NDArray) -> NDArray:
     return np.sqrt(alpha)
 
 
-def alpha_squared_from_exponent(exponent: NDArray) -> NDArray:
-    """alpha^2 = 2 / (p + 2) for a Blinn-Phong exponent p."""
-    return 2.0 / (exponent + 2.0)
-
-
 def exponent_from_alpha_squared(alpha_squared: NDArray) -> NDArray:
     """p = 2 / alpha^2 - 2."""
     return 2.0 / alpha_squared - 2.0
