@@ -22,6 +22,7 @@ from brdffit.learned.latent import (
     FACTOR,
     MODELS,
     NORMAL,
+    SHARES,
     SHIPPED,
     TENSOR,
     decode_image,
@@ -95,9 +96,9 @@ class Latent(LobeMethod):
                 if mip_level == 0 and options.keep_level_0:
                     level = Level(svbrdf.replace(height=None), status=np.full(size, KEPT, np.uint8))
                 else:
-                    level = Level(
-                        _decoded(decode_image(networks, here, pool, options.model), filtered, svbrdf, options, exponent)
-                    )
+                    share = SHARES[mip_level] if mip_level < len(SHARES) else 1.0
+                    said = decode_image(networks, here, pool, options.model, share)
+                    level = Level(_decoded(said, filtered, svbrdf, options, exponent))
                 level.seconds = time.perf_counter() - started
                 started = time.perf_counter()
                 pyramid.levels.append(level)
