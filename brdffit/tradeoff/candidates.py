@@ -24,7 +24,7 @@ class Candidate:
     """A method with its options, to be measured beside the others.
 
     Attributes:
-        group: what is varied: method, preset, tolerance, nodes, setting, model, lobe, lights, loss or float; or
+        group: what is varied: method, preset, tolerance, nodes, setting, model, lobe, lights, loss, energy or float; or
             "oracle".
         name: as shown.
         method: name of a method, timed as a whole bake; or FIT or ORACLE.
@@ -36,7 +36,7 @@ class Candidate:
     group: str
     name: str
     method: str = FIT
-    options: FitOptions = FitOptions(lights="point")
+    options: FitOptions = FitOptions()
     quality: Quality | None = None
     float_width: int = 32
 
@@ -44,14 +44,12 @@ class Candidate:
 def candidates() -> list[Candidate]:
     """All candidates, the closed forms first, the oracle last.
 
-    The half-angle error under point lights is measured, so most candidates minimise it.
+    The default fit's own error is measured, so those of other lights and losses show what their choice costs.
     """
     standard = get_quality("standard")
     found = [Candidate("method", name, method=name) for name in lobe_method_names() if name != FIT]
-    found += [Candidate("preset", name, options=FitOptions(lights="point", quality=name)) for name in QUALITIES]
-    found += [
-        Candidate("tolerance", f"{dB:g} dB", options=FitOptions(lights="point", tolerance=dB)) for dB in TOLERANCES
-    ]
+    found += [Candidate("preset", name, options=FitOptions(quality=name)) for name in QUALITIES]
+    found += [Candidate("tolerance", f"{dB:g} dB", options=FitOptions(tolerance=dB)) for dB in TOLERANCES]
     found += [Candidate("nodes", f"{n} nodes", quality=fixed_nodes(standard, n)) for n in NODES]
     found += [
         Candidate(
@@ -60,17 +58,18 @@ def candidates() -> list[Candidate]:
         for name in QUALITIES
         for n in SETTING_NODES
     ]
-    found += [Candidate("model", name, options=FitOptions(lights="point", model=name)) for name in model_names()]
+    found += [Candidate("model", name, options=FitOptions(model=name)) for name in model_names()]
     found += [
-        Candidate("lobe", "isotropic", options=FitOptions(lights="point", lobe="isotropic")),
-        Candidate("lobe", "mean normal", options=FitOptions(lights="point", normal="mean")),
-        Candidate(
-            "lobe", "isotropic, mean normal", options=FitOptions(lights="point", lobe="isotropic", normal="mean")
-        ),
-        Candidate("lobe", "held colour", options=FitOptions(lights="point", specular="held")),
-        Candidate("lights", "mixed", options=FitOptions()),
-        Candidate("loss", "relative", options=FitOptions(lights="point", loss="relative")),
-        Candidate("loss", "l1", options=FitOptions(lights="point", loss="l1")),
+        Candidate("lobe", "isotropic", options=FitOptions(lobe="isotropic")),
+        Candidate("lobe", "mean normal", options=FitOptions(normal="mean")),
+        Candidate("lobe", "isotropic, mean normal", options=FitOptions(lobe="isotropic", normal="mean")),
+        Candidate("lobe", "held colour", options=FitOptions(specular="held")),
+        Candidate("lobe", "free colour", options=FitOptions(specular="free")),
+        Candidate("lights", "point lights", options=FitOptions(lights="point")),
+        Candidate("lights", "lamps of 10 degrees", options=FitOptions(lights="10")),
+        Candidate("lights", "2 to 40 degrees in five sizes", options=FitOptions(lights="2,5,10,20,40")),
+        *(Candidate("loss", name, options=FitOptions(loss=name)) for name in ("l2", "seen", "relative", "l1")),
+        *(Candidate("energy", f"{share:g} of an even light", options=FitOptions(energy=share)) for share in (0.1, 0.3)),
         Candidate("float", "64-bit sums", float_width=64),
         Candidate("oracle", "oracle", method=ORACLE),
     ]

@@ -56,9 +56,7 @@ def _foreign(folder: Path) -> str | None:
     return first_other(folder, _FILES)
 
 
-_HEAD = (
-    "set", "group", "candidate", "s / Mtexel", "SNR dB", "rendered dB", "energy", "front", "s / Mtexel for each dB",
-)  # fmt: skip
+_HEAD = ("set", "group", "candidate", "s / Mtexel", "dB", "energy", "front", "s / Mtexel for each dB")
 
 
 def _rows(found: Tradeoff) -> list[tuple[str, ...]]:
@@ -67,8 +65,8 @@ def _rows(found: Tradeoff) -> list[tuple[str, ...]]:
     return [
         (
             point.set, point.group, point.name, f"{point.seconds_per_megatexel:.3g}", f"{point.snr_db:.2f}",
-            "" if point.rendered_db is None else f"{point.rendered_db:.2f}", f"{100 * point.energy:.0f}%",
-            "yes" if point.front else "", "" if point.price is None else f"{point.price:.3g}",
+            f"{100 * point.energy:.0f}%", "yes" if point.front else "",
+            "" if point.price is None else f"{point.price:.3g}",
         )
         for point in sorted(found.points, key=lambda each: (order[each.set], each.seconds_per_megatexel))
     ]  # fmt: skip
@@ -113,13 +111,13 @@ def as_markdown(found: Tradeoff) -> str:
     parts = [
         f"# What accuracy costs in time\n\nBy `{found.command}` in {found.seconds:.0f} s on {ran_on}.\n\n"
         "Seconds per megatexel of the base for levels 0 to 5 (processor seconds over the number of cores; closed "
-        "forms: a whole bake); half-angle SNR, mean of these levels in dB; rendered: SNR of radiance over pairs of "
-        "light and viewer, whole specular BRDF, levels 1, 3 and 5; energy kept; the front: no candidate to the same "
-        "end is faster and better; what each dB costs that a candidate on the front has over the one before.\n",
+        "forms: a whole bake); SNR of the error on a screen under lights of 2, 10 and 40 degrees, which the default "
+        "fit minimises, mean of these levels in dB; energy kept; the front: no candidate is faster and better; what "
+        "each dB costs that a candidate on the front has over the one before.\n",
         "## What the front says of the presets\n\nThe cheapest setting of samples and nodes that loses no more than a "
-        "preset may, then the preset itself. Half-angle SNR in dB that is missing to the best candidate of a set, mean "
-        f"of the sets and the worst of them, levels above {PERFECT_DB:g} dB counting as that. Time: over that of "
-        "standard, geometric mean.\n",
+        "preset may, then the preset itself. What is missing to the best candidate of a set, mean of the sets and the "
+        f"worst of them in dB, levels above {PERFECT_DB:g} dB counting as that. Time: over that of standard, geometric "
+        "mean.\n",
         _markdown_table(_CHOICE_HEAD, _choice_rows(found)),
         "\n## Every candidate\n",
         _markdown_table(_HEAD, _rows(found)),
@@ -143,7 +141,7 @@ def show(found: Tradeoff, output: Path) -> None:
         for k, head in enumerate(_HEAD[1:]):
             table.add_column(head, justify="left" if k < 2 else "right")
         for row in _rows(found):
-            if row[0] == name and (row[7] or row[1] == "preset"):
+            if row[0] == name and (row[6] or row[1] == "preset"):
                 table.add_row(*row[1:], style="bold" if row[1] == "preset" else None)
         console.print(table)
     if found.choices:

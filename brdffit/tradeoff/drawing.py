@@ -3,47 +3,54 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from brdffit.tradeoff.record import Point, Tradeoff
 
+#: Colour and marker of each group that is shown by name; all others are dots.
 _STYLES = {
-    "method": ("#6b7280", "s"),
+    "method": ("#4b5563", "s"),
     "preset": ("#b3005e", "D"),
-    "tolerance": ("#d9730d", "^"),
-    "nodes": ("#1f6fb5", "o"),
-    "setting": ("#0899ad", "v"),
-    "model": ("#7c5cbf", "P"),
-    "lobe": ("#5b8c15", "X"),
-    "loss": ("#8a5a1a", "*"),
-    "float": ("#333333", "p"),
-    "oracle": ("#000000", "H"),
+    "lights": ("#5b8c15", "X"),
+    "loss": ("#1f6fb5", "v"),
+    "energy": ("#7c5cbf", "P"),
+    "lobe": ("#d9730d", "^"),
 }
-#: Groups whose points are named in the whole picture, and in the close-up.
-_NAMED, _NAMED_CLOSE = ("method", "oracle"), ("preset", "tolerance", "nodes", "lobe", "float")
+_OTHER = "#c3c8cf"
+#: Names in the legend.
+_LEGEND = {
+    "method": "closed forms and averages", "preset": "the fit: presets", "lights": "the fit for other lights",
+    "loss": "the fit by other losses", "energy": "the fit, energy weighed in", "lobe": "the fit, lobe or scale reduced",
+}  # fmt: skip
+_X = "seconds per megatexel, levels 0 to 5"
+_Y = "accuracy on a screen (dB, higher is better)"
 #: What the close-up shows below the best, in dB.
-_CLOSE = 1.6
+_CLOSE = 3.0
 
 
 def draw(tradeoff: Tradeoff, folder: Path) -> list[Path]:
-    """Write tradeoff.svg and tradeoff.png: for each set half-angle SNR and rendered SNR over seconds per megatexel."""
+    """Write tradeoff.svg and tradeoff.png: one row a set, everything on the left and the fits close up on the right."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     sets = list(dict.fromkeys(point.set for point in tradeoff.points))
-    with pyplot.rc_context({"font.size": 8, "svg.fonttype": "none", "axes.spines.top": False,
+    with pyplot.rc_context({"font.size": 9, "svg.fonttype": "none", "axes.spines.top": False,
                             "axes.spines.right": False, "svg.hashsalt": "brdffit"}):  # fmt: skip
-        figure, axes = pyplot.subplots(len(sets), 3, figsize=(16.0, 4.6 * len(sets)), squeeze=False)
+        figure, axes = pyplot.subplots(len(sets), 2, figsize=(13.0, 5.0 * len(sets)), squeeze=False)
         for row, name in zip(axes, sets, strict=True):
-            own = [point for point in tradeoff.points if point.set == name]
-            _panel(row[0], own, "snr_db", f"{name}: half-angle SNR of the lobe (dB)", _NAMED)
-            _close_up(row[1], [point for point in own if point.group != "method"])
-            _panel(row[2], own, "rendered_db", "SNR of radiance over pairs of light and viewer (dB)", _NAMED)
+            own = [point for point in tradeoff.points if point.set == name and point.group != "oracle"]
+            best = [point for point in tradeoff.points if point.set == name and point.group == "oracle"]
+            reached = max(point.snr_db for point in [*own, *best])
+            _panel(row[0], own, best, f"{name}: what accuracy costs", ("method", "preset"))
+            close = [point for point in own if point.group != "method" and point.snr_db >= reached - _CLOSE]
+            _panel(row[1], close, best, "the fits close up", tuple(_STYLES))
         handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="lower center", ncols=len(_STYLES), frameon=False)
-        figure.tight_layout(rect=(0, 0.12 / len(sets) / 1.4, 1, 1))
+        figure.legend(handles, labels, loc="lower center", ncols=len(handles), frameon=False)
+        figure.tight_layout(rect=(0, 0.06 / len(sets), 1, 1))
         written = []
         for suffix in ("svg", "png"):
             path = folder / f"tradeoff.{suffix}"
@@ -53,50 +60,49 @@ def draw(tradeoff: Tradeoff, folder: Path) -> list[Path]:
     return written
 
 
-def _close_up(axis, fits: list[Point]) -> None:  # type: ignore[no-untyped-def]
-    """Draw the best fits; the oracle, whose time lies far outside, as a line."""
-    reached = max(point.snr_db for point in fits if point.group != "oracle")
-    close = [point for point in fits if point.snr_db >= reached - _CLOSE and point.group != "oracle"]
-    for point in fits:
-        if point.group == "oracle":
-            seconds = f"oracle, {point.seconds_per_megatexel:,.0f} s"
-            axis.axhline(point.snr_db, color=_STYLES["oracle"][0], linewidth=0.8, linestyle="--", zorder=1)
-            axis.annotate(seconds, (1.0, point.snr_db), xycoords=("axes fraction", "data"), xytext=(-2, 2),
-                          textcoords="offset points", ha="right", va="bottom", fontsize=7)  # fmt: skip
-    _panel(axis, close, "snr_db", "the fits close up", _NAMED_CLOSE)
-
-
-def _panel(axis, points: list[Point], figure: str, title: str, named: tuple[str, ...]) -> None:  # type: ignore[no-untyped-def]
-    shown = [point for point in points if getattr(point, figure) is not None]
-    front = sorted((point for point in shown if point.front), key=lambda each: each.seconds_per_megatexel)
-    axis.plot([p.seconds_per_megatexel for p in front], [getattr(p, figure) for p in front], color="#bbbbbb", zorder=1,
-              linewidth=1.2)  # fmt: skip
+def _panel(axis: Any, points: Sequence[Point], best: Sequence[Point], title: str, named: tuple[str, ...]) -> None:
+    """One panel: all points, the front as a line, the best possible lobe as a dashed one, and some points' names."""
+    front = sorted((point for point in points if point.front), key=lambda each: each.seconds_per_megatexel)
+    axis.plot([p.seconds_per_megatexel for p in front], [p.snr_db for p in front], color=_OTHER, zorder=1)
+    others = [point for point in points if point.group not in _STYLES]
+    axis.scatter([p.seconds_per_megatexel for p in others], [p.snr_db for p in others], s=9, color=_OTHER,
+                 label="the fit: other nodes, models, tolerances", zorder=1)  # fmt: skip
     for group, (colour, marker) in _STYLES.items():
-        own = [point for point in shown if point.group == group]
-        axis.scatter([p.seconds_per_megatexel for p in own], [getattr(p, figure) for p in own], s=30, color=colour,
-                     marker=marker, label=group, zorder=2, edgecolors="white", linewidths=0.5)  # fmt: skip
-    taken: list[tuple[float, float]] = []
-    low = min((getattr(p, figure) for p in shown), default=0.0)
-    high = max((getattr(p, figure) for p in shown), default=1.0)
-    axis.set_xscale("log")
-    times = [point.seconds_per_megatexel for point in shown] or [1.0]
+        own = [point for point in points if point.group == group]
+        size = 70 if group == "preset" else 34
+        axis.scatter([p.seconds_per_megatexel for p in own], [p.snr_db for p in own], s=size, color=colour,
+                     marker=marker, label=_LEGEND[group], zorder=3, edgecolors="white", linewidths=0.5)  # fmt: skip
+    times = [point.seconds_per_megatexel for point in points] or [1.0]
     decades = max(math.log10(max(times) / min(times)), 0.1)
-    axis.set_xlim(0.8 * min(times), max(times) * 10 ** (0.28 * decades))
-    for point in sorted(shown, key=lambda each: -getattr(each, figure)):
-        if point.group in named or (point.group, point.name) == ("preset", "standard"):
-            _label(axis, point, getattr(point, figure), taken, (high - low) or 1.0, decades)
-    axis.set_xlabel("seconds per megatexel of the base, levels 0 to 5")
-    axis.set_title(title, loc="left")
+    axis.set_xscale("log")
+    axis.set_xlim(min(times) / 10 ** (0.05 * decades), max(times) * 10 ** (0.32 * decades))
+    for point in best:
+        axis.axhline(point.snr_db, color="#000000", linewidth=0.8, linestyle="--", zorder=1)
+        axis.annotate(f"the best lobe there is ({point.seconds_per_megatexel:,.0f} s)", (1.0, point.snr_db),
+                      xycoords=("axes fraction", "data"), xytext=(-2, 2), textcoords="offset points", ha="right",
+                      va="bottom", fontsize=8)  # fmt: skip
+    heights = [point.snr_db for point in (*points, *best)] or [0.0]
+    taken: list[tuple[float, float]] = []
+    shown = [point for point in points if point.group in named]
+    for point in sorted(shown, key=lambda each: (each.group != "preset", -each.snr_db)):
+        _label(axis, point, taken, (max(heights) - min(heights)) or 1.0, decades)
+    axis.set_xlabel(_X)
+    axis.set_ylabel(_Y)
+    axis.set_title(title, loc="left", fontweight="bold")
     axis.grid(alpha=0.25, linewidth=0.5)
 
 
-def _label(axis, point: Point, value: float, taken: list[tuple[float, float]], span: float, decades: float) -> None:  # type: ignore[no-untyped-def]
+def _label(axis: Any, point: Point, taken: list[tuple[float, float]], span: float, decades: float) -> None:
     """Write the name of a point, moved down past names that are there already."""
-    x, y = math.log10(max(point.seconds_per_megatexel, 1e-9)), value
-    while any(abs(x - other_x) < 0.22 * decades and abs(y - other_y) < 0.037 * span for other_x, other_y in taken):
-        y -= 0.038 * span
+    x, y = math.log10(max(point.seconds_per_megatexel, 1e-9)), point.snr_db
+    while any(abs(x - other_x) < 0.25 * decades and abs(y - other_y) < 0.04 * span for other_x, other_y in taken):
+        y -= 0.01 * span
     taken.append((x, y))
     colour = _STYLES[point.group][0]
     leader = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0.0, "shrinkB": 2.0}
-    axis.annotate(point.name, (point.seconds_per_megatexel, value), xytext=(10 ** (x + 0.02 * decades), y), fontsize=7,
-                  color=colour, va="center", zorder=3, arrowprops=leader if y < value else None)  # fmt: skip
+    preset = point.group == "preset"
+    axis.annotate(
+        point.name, (point.seconds_per_megatexel, point.snr_db), xytext=(10 ** (x + 0.025 * decades), y),
+        fontsize=10 if preset else 8, fontweight="bold" if preset else "normal", color=colour, va="center", zorder=4,
+        arrowprops=leader if y < point.snr_db else None,
+    )  # fmt: skip

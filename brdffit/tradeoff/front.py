@@ -16,15 +16,10 @@ WORTH = 0.005
 
 
 def with_front(points: Sequence[Point]) -> list[Point]:
-    """The points of one set with ``front`` and ``price`` filled in, in the same order.
-
-    Other losses do not minimise the SNR, and other models have other best lobes. Their points are shown but left out of
-    the front (``on_the_same_ground``).
-    """
-    comparable = [point for point in points if on_the_same_ground(point)]
+    """The points of one set with ``front`` and ``price`` filled in, in the same order."""
     best, last = float("-inf"), None
     found: dict[int, float | None] = {}
-    for point in sorted(comparable, key=lambda each: (each.seconds_per_megatexel, -each.snr_db)):
+    for point in sorted(points, key=lambda each: (each.seconds_per_megatexel, -each.snr_db)):
         if point.snr_db > best + WORTH:
             price = None
             if last is not None:
@@ -45,8 +40,7 @@ def choices(points: Sequence[Point]) -> list[Choice]:
     """
     sets: dict[str, list[Point]] = {}
     for point in points:
-        if on_the_same_ground(point):
-            sets.setdefault(point.set, []).append(point)
+        sets.setdefault(point.set, []).append(point)
     figures: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for own in sets.values():
         best = max(_seen_db(point) for point in own)
@@ -83,8 +77,3 @@ def _seen_db(point: Point) -> float:
 
 def _is(point: Point, group: str, name: str) -> bool:
     return (point.group, point.name) == (group, name)
-
-
-def on_the_same_ground(point: Point) -> bool:
-    """Whether points can be compared on the front: all but those with another loss or another model."""
-    return point.group not in ("loss", "model")

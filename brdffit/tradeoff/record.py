@@ -10,11 +10,10 @@ import msgspec
 class Point(msgspec.Struct, frozen=True):
     """One candidate on one set.
 
-    ``seconds_per_megatexel``: of the base, levels 0 to 5 together, on all cores; ``snr_db``: half-angle SNR, mean of
-    the levels in dB; ``rendered_db``: SNR of radiance over pairs of light and viewer, mean of the levels where it was
-    measured; ``energy``: mean of the scale over the filtered colour; ``levels_db``: half-angle SNR of each level;
-    ``front``: whether no comparable candidate is both faster and better; ``price``: seconds per megatexel for each dB
-    gained over the next faster candidate on the front.
+    ``seconds_per_megatexel``: of the base, levels 0 to 5 together, on all cores; ``snr_db``: SNR of the error on a
+    screen under lights with a size (``brdffit.tradeoff.seen``), mean of the levels in dB; ``energy``: mean of the scale
+    over the filtered colour; ``levels_db``: that SNR of each level; ``front``: whether no candidate is both faster and
+    better; ``price``: seconds per megatexel for each dB gained over the next faster candidate on the front.
     """
 
     set: str
@@ -22,7 +21,6 @@ class Point(msgspec.Struct, frozen=True):
     name: str
     seconds_per_megatexel: float
     snr_db: float
-    rendered_db: float | None
     energy: float
     levels_db: list[float]
     front: bool = False

@@ -1,4 +1,4 @@
-"""Measure every candidate on the same texels: seconds, half-angle SNR, rendered SNR."""
+"""Measure every candidate on the same texels: seconds, and the error on a screen."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.measure import lobe_parameters, random_texels, snr
 from brdffit.methods import Material, get_method
 from brdffit.models import get_model
-from brdffit.render.pairs import pair_errors
-from brdffit.render.terms import Terms
 from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.tradeoff import seen
 from brdffit.tradeoff.candidates import FIT, ORACLE, Candidate, candidates
 from brdffit.tradeoff.front import with_front
 from brdffit.tradeoff.record import Point, Solver
@@ -35,22 +34,16 @@ Texels = Sequence[tuple[NDArray, NDArray]]
 @dataclass(frozen=True)
 class Size:
     """Size of the sample: texels of levels 0 to 5 that are timed, and how many of them are measured; texels that are
-    raced; nodes, samples and pairs of the truth; timed repeats."""
+    raced; rule of the truth; timed repeats."""
 
     timed: tuple[int, ...] = (8192, 8192, 2048, 512, 128, 64)
     texels: tuple[int, ...] = (512, 512, 384, 192, 96, 64)
     raced: int = 24
-    nodes: int = 2048
-    samples: tuple[int, int] = (16, 96)
-    pairs: int = 512
+    rule: seen.Rule = seen.Rule(1024, (16, 64))
     repeats: int = 2
 
 
-QUICK = Size((4096, 2048, 512, 96, 32, 16), (96, 96, 64, 32, 16, 16), raced=6, nodes=1024, samples=(16, 48), pairs=128)
-#: Levels at which radiance is compared as well.
-RENDERED = (1, 3, 5)
-# The diffuse part is left out: here the lobe is compared.
-_TERMS = Terms(diffuse=False)
+QUICK = Size((4096, 2048, 512, 96, 32, 16), (96, 96, 64, 32, 16, 16), raced=6, rule=seen.Rule(640, (16, 48)))
 _SEED = 77
 
 
@@ -65,7 +58,7 @@ def measure_set(name: str, svbrdf: Svbrdf, size: Size, tell: Tell) -> tuple[list
         tell(f"{name}: {candidate.group}, {candidate.name}")
         try:
             if candidate.method == ORACLE:
-                tried.append(_ask_oracle(candidate, svbrdf, base, measured, tried))
+                tried.append(_ask_oracle(candidate, svbrdf, base, measured, tried, size))
             elif candidate.method == FIT:
                 tried.append(_fit(candidate, svbrdf, base, texels, size))
             else:
@@ -89,7 +82,6 @@ class _Tried:
     lobes: list[Lobes]
     decibels: list[float] = field(default_factory=list)
     energy: list[float] = field(default_factory=list)
-    rendered: list[float] = field(default_factory=list)
 
     def point(self, name: str) -> Point:
         return Point(
@@ -98,7 +90,6 @@ class _Tried:
             name=self.candidate.name,
             seconds_per_megatexel=self.seconds * 1e6,
             snr_db=float(np.mean(self.decibels)),
-            rendered_db=float(np.mean(self.rendered)) if self.rendered else None,
             energy=float(np.mean(self.energy)),
             levels_db=self.decibels,
         )
@@ -132,15 +123,17 @@ def _fit(candidate: Candidate, svbrdf: Svbrdf, base: Base, texels: Texels, size:
     return tried
 
 
-def _ask_oracle(candidate: Candidate, svbrdf: Svbrdf, base: Base, texels: Texels, others: Sequence[_Tried]) -> _Tried:
-    """The oracle: the best lobes that two optimisers find from many starts, those of the presets among them."""
+def _ask_oracle(
+    candidate: Candidate, svbrdf: Svbrdf, base: Base, texels: Texels, others: Sequence[_Tried], size: Size
+) -> _Tried:
+    """The oracle: the best lobes that an optimiser finds from many starts, those of the presets among them."""
     tried = _Tried(candidate, 0.0, [])
     presets = [each for each in others if each.candidate.group == "preset"]
     for mip_level, at in enumerate(texels):
         sample = LevelSample(svbrdf, mip_level, *at, candidate.options, base=base)
         given = [Lobes(*(array[: len(sample)] for array in each.lobes[mip_level])) for each in presets]
         start = time.process_time()
-        best = sample.best(given)
+        best = seen.best(sample, given, size.rule)
         tried.add(best, sample, _per_texel(start, sample))
     return tried
 
@@ -150,19 +143,12 @@ def _measure(tried: Sequence[_Tried], svbrdf: Svbrdf, base: Base, texels: Texels
     for model in dict.fromkeys(each.candidate.options.model for each in tried):
         own = [each for each in tried if each.candidate.options.model == model]
         for mip_level, at in enumerate(texels):
-            sample = LevelSample(svbrdf, mip_level, *at, FitOptions(lights="point", model=model), base=base)
+            sample = LevelSample(svbrdf, mip_level, *at, FitOptions(model=model), base=base)
             lobes = [Lobes(*(array[: len(at[0])] for array in each.lobes[mip_level])) for each in own]
-            found = sample.measure(lobes, nodes=size.nodes, samples=size.samples)
+            error, energy = seen.errors(sample, lobes, size.rule)
             for k, each in enumerate(own):
-                each.decibels.append(min(snr(found.error[k]), 99.0))
-                each.energy.append(float(found.energy[k].mean()))
-            if mip_level in RENDERED:
-                levels = [_as_image(pair, model, svbrdf.wrap) for pair in lobes]
-                error, square = pair_errors(
-                    svbrdf, levels, *at, pairs=size.pairs, terms=_TERMS, samples="draft", size=sample.size
-                )
-                for k, each in enumerate(own):
-                    each.rendered.append(min(10.0 * math.log10(square.sum() / max(error[k].sum(), 1e-30)), 99.0))
+                each.decibels.append(min(snr(error[k]), 99.0))
+                each.energy.append(float(energy[k].mean()))
 
 
 def _timed(sample: LevelSample, candidate: Candidate, repeats: int) -> tuple[Lobes, LevelSample, float]:
@@ -180,16 +166,3 @@ def _timed(sample: LevelSample, candidate: Candidate, repeats: int) -> tuple[Lob
 def _per_texel(start: float, sample: LevelSample) -> float:
     """Processor seconds a texel since ``start``, divided by the number of cores."""
     return (time.process_time() - start) / (os.cpu_count() or 1) / len(sample)
-
-
-def _as_image(lobes: Lobes, model: str, wrap: str) -> Svbrdf:
-    """Lobes of n texels as an image (n, 1)."""
-    theta = lobes.theta
-    normal = np.column_stack([-theta[:, 0], -theta[:, 1], np.ones(len(theta))])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    log_roughness = theta[:, 2:5]
-    normal, log_roughness, specular = (
-        each[:, None].astype(np.float32) for each in (normal, log_roughness, lobes.scale)
-    )
-    shape = theta[:, 5:6].astype(np.float32) if get_model(model).shape_bounds else None
-    return Svbrdf(normal, log_roughness, specular, np.zeros_like(specular), model=model, wrap=wrap, shape=shape)
