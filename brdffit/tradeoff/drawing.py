@@ -49,8 +49,8 @@ def draw(tradeoff: Tradeoff, folder: Path) -> list[Path]:
             close = [point for point in own if point.group != "method" and point.snr_db >= reached - _CLOSE]
             _panel(row[1], close, best, "the fits close up", tuple(_STYLES))
         handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="lower center", ncols=len(handles), frameon=False)
-        figure.tight_layout(rect=(0, 0.06 / len(sets), 1, 1))
+        figure.legend(handles, labels, loc="lower center", ncols=(len(handles) + 1) // 2, frameon=False)
+        figure.tight_layout(rect=(0, 0.1 / len(sets), 1, 1))
         written = []
         for suffix in ("svg", "png"):
             path = folder / f"tradeoff.{suffix}"
@@ -75,7 +75,7 @@ def _panel(axis: Any, points: Sequence[Point], best: Sequence[Point], title: str
     times = [point.seconds_per_megatexel for point in points] or [1.0]
     decades = max(math.log10(max(times) / min(times)), 0.1)
     axis.set_xscale("log")
-    axis.set_xlim(min(times) / 10 ** (0.05 * decades), max(times) * 10 ** (0.32 * decades))
+    axis.set_xlim(min(times) / 10 ** (0.12 * decades), max(times) * 10 ** (0.32 * decades))
     for point in best:
         axis.axhline(point.snr_db, color="#000000", linewidth=0.8, linestyle="--", zorder=1)
         axis.annotate(f"the best lobe there is ({point.seconds_per_megatexel:,.0f} s)", (1.0, point.snr_db),
@@ -93,16 +93,20 @@ def _panel(axis: Any, points: Sequence[Point], best: Sequence[Point], title: str
 
 
 def _label(axis: Any, point: Point, taken: list[tuple[float, float]], span: float, decades: float) -> None:
-    """Write the name of a point, moved down past names that are there already."""
+    """Write a point's name: of a preset on its left, of others on the right, moved down past names that are there."""
     x, y = math.log10(max(point.seconds_per_megatexel, 1e-9)), point.snr_db
-    while any(abs(x - other_x) < 0.25 * decades and abs(y - other_y) < 0.04 * span for other_x, other_y in taken):
+    preset = point.group == "preset"
+    while not preset and any(
+        abs(x - other_x) < 0.25 * decades and abs(y - other_y) < 0.04 * span for other_x, other_y in taken
+    ):
         y -= 0.01 * span
-    taken.append((x, y))
+    if not preset:
+        taken.append((x, y))
     colour = _STYLES[point.group][0]
     leader = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0.0, "shrinkB": 2.0}
-    preset = point.group == "preset"
     axis.annotate(
-        point.name, (point.seconds_per_megatexel, point.snr_db), xytext=(10 ** (x + 0.025 * decades), y),
+        point.name, (point.seconds_per_megatexel, point.snr_db),
+        xytext=(10 ** (x + (-0.025 if preset else 0.025) * decades), y), ha="right" if preset else "left",
         fontsize=10 if preset else 8, fontweight="bold" if preset else "normal", color=colour, va="center", zorder=4,
         arrowprops=leader if y < point.snr_db else None,
     )  # fmt: skip
