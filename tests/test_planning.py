@@ -169,11 +169,10 @@ def test_what_is_dropped_loses_no_more_than_the_plan_says(folder, plan_of, name)
 
 @pytest.mark.parametrize("name", SCENES)
 def test_no_effect_does_harm(plan_of, name):
-    """With an effect the SNR is no lower than without, but for noise, and what a fit by the loss "seen" gives up of the
-    plan's squared error for a picture that looks right: less than a budget."""
+    """With an effect the SNR is no lower than without, but for noise."""
     for row in plan_of(name).effects:
         if row.contributes_db is not None and row.name != "refinement":
-            assert row.contributes_db >= -3.0 * row.uncertain_db - 0.1, row.name
+            assert row.contributes_db >= -3.0 * row.uncertain_db - 0.02, row.name
 
 
 @pytest.mark.slow
