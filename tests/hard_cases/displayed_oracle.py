@@ -2,9 +2,9 @@
 
     E = mean over sizes s of int |T_s - rho F_s|^2 v_s w(h) dh / int |T_s|^2 v_s w(h) dh, v_s = (k_s / (T_s + k_s))^1.5,
 
-k_s a fifth of (mean T_s + 4 d / pi), d the diffuse albedo, T_s and F_s widened by a_s^2 = 0.74 (r_s / 2)^2 (the heads
-of brdffit/halfangle/lights.py and brdffit/fitting/losses.py). No kernel of the program is called, and nothing is shared
-with the fit: samples of the footprint and half vectors are random.
+k_s = D + (mean T_s + D) / 2, D = 16 d / (9 pi) of the diffuse albedo d, T_s and F_s widened by a_s^2 = 0.74 (r_s / 2)^2
+(the heads of brdffit/halfangle/lights.py and brdffit/fitting/losses.py). No kernel of the program is called, and
+nothing is shared with the fit: samples of the footprint and half vectors are random.
 
 The footprint is a random sample, so T is noisy at each half vector. The noise adds the same to the error of every lobe,
 so *differences* of errors are right in the mean whatever the number of samples.
@@ -38,6 +38,12 @@ def footprint(base, level_size, row, column, side, rng):
     at = (cells + rng.random((side, side, 2))).reshape(-1, 2) / side
     y, x = scale * (row + at[:, 0]), scale * (column + at[:, 1])
     return unit(bilinear(base.normal, y, x)), bilinear(np.exp(base.log_roughness[..., 0] / 4), y, x) ** 4
+
+
+def knee_of(mean, diffuse):
+    """k of a mean of T and the diffuse albedo of each channel."""
+    beside = 16 / (9 * math.pi) * 3 * diffuse
+    return beside + (mean + beside) / 2
 
 
 def ggx(cos, alpha_squared):
@@ -141,7 +147,7 @@ class Target:
                 density += few * lobe.values(h, square) * np.maximum(h @ lobe.normal, 0)
             measure = 2 / math.pi * h[:, 2] ** 3 / (density + left * h[:, 2] / math.pi)
             light = 3 * specular * shape
-            knee = 0.2 * ((measure * light).sum() / measure.sum() + 4 * 3 * diffuse / math.pi)
+            knee = knee_of((measure * light).sum() / measure.sum(), diffuse)
             weight = measure * (knee / (light + knee)) ** 1.5
             self.sizes.append((h, shape, weight / (weight * shape * shape).sum() / len(SQUARES), square))
 
