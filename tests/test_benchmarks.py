@@ -11,7 +11,7 @@ from click.testing import CliRunner
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed
 
-from benchmarks import effects, integrals, roofline  # noqa: E402
+from benchmarks import bakes, effects, integrals, roofline  # noqa: E402
 from benchmarks.__main__ import main  # noqa: E402
 from benchmarks.accuracy import CLOSED_FORMS, compare_set, targets  # noqa: E402
 from benchmarks.materials import NAMED, accuracy_sets, load_procedural, tiled, write_tiled  # noqa: E402
@@ -163,3 +163,14 @@ def test_the_command_writes_records_and_shows_the_table(monkeypatch, tmp_path):
 def test_the_record_is_json():
     assert json.loads(json.dumps(machine()))
     assert as_markdown({}, []).startswith("# ")
+
+
+def test_rates_and_times_are_those_of_texels_and_their_seconds():
+    """Two levels, and another checkout twice as fast at the second: half its rate there, and the time of all texels."""
+    ours = {"size": [2, 4], "levels": [[8, 1e-3], [2, 2e-3]]}
+    theirs = {"size": [2, 4], "levels": [[8, 1e-3], [2, 1e-3]]}
+    found = bakes.row("set", ours, theirs)
+    assert found["size"] == "4x2" and found["k/s level 1"] == pytest.approx(0.5)
+    assert found["k/s level 4"] == pytest.approx(0.5), "the last level stands in"
+    assert found["pyramid s"] == pytest.approx(6e-3)
+    assert found["rate, level 1"] == pytest.approx(0.5) and found["time, pyramid"] == pytest.approx(1.2)
