@@ -95,7 +95,7 @@ MISTAKEN = 0.1
 #: follows it and shines beyond its ends, where the fit takes the target for brighter than it is. Largest share of such
 #: texels, by level, whose lobe is behind, and whose error the fit mistakes.
 APART = 0.025
-STREAKS = {1: (0.14, 0.20), 2: (0.04, 0.06), 3: (0.18, 0.37), 4: (0.12, 0.40), 5: (0.06, 0.35), 6: (0.02, 0.02)}
+STREAKS = {1: (0.04, 0.06), 2: (0.01, 0.02), 3: (0.05, 0.22), 4: (0.02, 0.13), 5: (0.01, 0.15), 6: (0.01, 0.02)}
 
 
 class RandomMirrors:
@@ -112,8 +112,8 @@ class RandomMirrors:
 
     @property
     def streaks(self):
-        # With few rough texels, or in a footprint of four that may hold none, mirrors decide.
-        return self.spread > APART and (self.wide < 0.2 or self.sample.mip_level == 1)
+        # Where rough texels are few, or a footprint of four may hold none, or the streaks are long, mirrors decide.
+        return self.spread > APART and (self.wide < 0.2 or self.sample.mip_level == 1 or self.spread > 0.2)
 
     def target(self, i, lobes, rule):
         """(target, normals of the footprint) of texel i, on half vectors of its own and of these lobes."""
