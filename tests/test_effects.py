@@ -16,7 +16,7 @@ from brdffit.fitting.batch import make_output, model_kernels
 from brdffit.fitting.effects import complete, kernels_of, reached, seen_by
 from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.options import FitOptions
-from brdffit.fitting.sampling import LevelSample
+from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.fitting.status import KEPT, NO_SPECULAR, NOT_REACHED, STATUS_NAMES
 from brdffit.footprint import filter_channels, filter_texels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of
@@ -432,3 +432,39 @@ def test_refinement_sees_every_effect():
     (note,) = bake(coloured(), colour="shared", levels=2, refine=True).notes
     before, after = (float(note.split("level 0 from ")[1].split(" to ")[k].split()[0]) for k in range(2))
     assert after > before
+
+
+# Energy
+
+
+def rim(size=(128, 128)):
+    """Bumpy and black but for its first column, which the last texels of each level see through half a base texel."""
+    base = surface(size=size, spread=0.3, alpha=0.05, seed=6)
+    base.specular[:, 1:] = 0.0
+    return base
+
+
+@pytest.mark.parametrize("quality, level", [("draft", 4), ("standard", 6)])
+def test_a_bounded_colour_is_bounded_by_the_exact_average_where_samples_are_at_random_points(quality, level):
+    base, options = rim(), FitOptions(quality=quality, levels=level + 1, reach=(level, level))
+    found = get_method("bfgs").bake_lobes(base, options).levels[level].svbrdf.specular
+    exact = filter_channels(base.specular, found.shape[:2], get_pixel_filter("box"), "tile")
+    beyond = exact[:, -1]
+    assert beyond.min() > 0.0
+    np.testing.assert_array_less(0.9099 * beyond, found[:, -1])
+    np.testing.assert_array_less(found[:, -1], 1.0901 * beyond)
+    rows = np.arange(len(found))
+    sample = LevelSample(base, level, np.full(len(rows), len(rows) - 1), rows, options)
+    np.testing.assert_allclose(sample.fit()[0].scale, found[:, -1], rtol=1e-6)
+
+
+@pytest.mark.parametrize("samples", [48, 64])
+def test_the_dense_rule_counts_what_a_footprint_sees_beyond_its_rim_once(samples):
+    """48 samples for 32 texels once stood across texel centres, and were moved off them where they were cut."""
+    base = rim()
+    rows = np.arange(4)
+    sample = LevelSample(base, 5, np.full(4, 3), rows)
+    exact = filter_texels(base.specular, (4, 4), get_pixel_filter("box"), "tile", np.full(4, 3), rows)
+    theta, _ = sample.fit()[0]
+    energy = sample.measure([Lobes(theta, exact.astype(np.float64))], nodes=256, samples=(16, samples)).energy
+    np.testing.assert_allclose(energy, 1.0, atol=0.01)

@@ -7,15 +7,16 @@ afterwards, one image at a time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
-from brdffit.fitting.batch import ModelKernels, Output, model_kernels
+from brdffit.fitting.batch import LevelRules, ModelKernels, Output, model_kernels
 from brdffit.fitting.options import COLOURS, FitOptions
+from brdffit.fitting.search import Search
 from brdffit.fitting.status import NO_SPECULAR
 from brdffit.halfangle.apparent_lobe import Base
 from brdffit.methods import one_of
@@ -24,6 +25,8 @@ from brdffit.models import Model
 #: Luminance of linear RGB (Rec. 709).
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _BLACK = 1e-12
+#: Highest scale of a fit whose scale is free.
+UNBOUNDED = 1e30
 
 
 class Seen(NamedTuple):
@@ -85,6 +88,22 @@ def complete(output: Output, seen: Seen, averages: Mapping[str, NDArray]) -> Non
             output.status[black[:, 0]] = NO_SPECULAR
             colour = colour / seen.scale
         np.multiply(output.specular, colour, out=output.specular, casting="same_kind")
+
+
+def keep_energy(output: Output, rules: LevelRules, search: Search, average: Callable[[], NDArray]) -> None:
+    """Bring the specular colours of n texels within their bounds of the exact average, (n, 3), in each channel.
+
+    The search bounds its scale by the colour of the footprint's samples. Where these are at random points, a footprint
+    whose surface is a thin rim has few of them on it, which may see half of its colour (a leaf that reaches into a
+    texel by half a base texel). ``average`` is not called where samples are at regular places or nothing is bounded.
+    """
+    at_random = rules.strata.jitter_x > 0.0 or rules.strata.jitter_y > 0.0
+    if at_random and search.rendered and search.scale_high < UNBOUNDED:
+        colour = average()
+        reflects = (colour > 0.0) & (output.status != NO_SPECULAR)[:, None]
+        np.clip(
+            output.specular, search.scale_low * colour, search.scale_high * colour, out=output.specular, where=reflects
+        )
 
 
 def kernels_of(options: FitOptions, source: Model, target: Model, float_width: int = 32) -> ModelKernels:

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from brdffit.fitting.batch import (
     model_kernels,
 )
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
-from brdffit.fitting.effects import Seen, complete, kernels_of, reached, seen_by
+from brdffit.fitting.effects import UNBOUNDED, Seen, complete, keep_energy, kernels_of, reached, seen_by
 from brdffit.fitting.losses import LOSS_CODES
 from brdffit.fitting.options import LOSSES, SPECULARS, FitOptions
 from brdffit.fitting.presets import Quality, quality_of
@@ -119,6 +120,7 @@ class NonlinearFit(LobeMethod):
                 level_search = tolerant(search, options, seen.base, rules, size, mip_level, kernels)
                 output = _fit_level(seen.base, rules, size, level_search, kernels, options.threads, mip_level, progress)
                 complete(output, seen, next(averages))
+                keep_energy(output, rules, level_search, partial(_average_of, base, size, pixel_filter))
                 level = _level(output, size, svbrdf, target, pixel_filter)
             level.seconds = time.perf_counter() - start
             pyramid.levels.append(level)
@@ -158,6 +160,11 @@ def _averages(
     for k in range(len(sizes)):
         level = images if point and k == 0 else {name: next(pyramid) for name, pyramid in pyramids.items()}
         yield {name: image.reshape(-1, 3) for name, image in level.items()}
+
+
+def _average_of(base: Base, size: tuple[int, int], pixel_filter: PixelFilter) -> NDArray:
+    """The specular colour of each texel of a level, (n, 3), filtered exactly."""
+    return filter_channels(base.specular, size, pixel_filter, "tile" if base.tile else "clamp").reshape(-1, 3)
 
 
 def level_rules(
@@ -202,7 +209,7 @@ def search_settings(options: FitOptions, quality: Quality, base: Base, source: M
     one_of("density", options.density, tuple(DENSITY_EXPONENTS))
     point, specular = options.lights == "point", one_of("specular", options.specular, SPECULARS)
     kind = {"free": FREE, "held": HOLDS, "bounded": BOUNDED, "auto": FREE if point else BOUNDED}[specular]
-    low_scale, high_scale = _BOUNDS if kind == BOUNDED else (0.0, 1e30)
+    low_scale, high_scale = _BOUNDS if kind == BOUNDED else (0.0, UNBOUNDED)
     if kind == FREE and options.energy > 0.0:
         kind = BOUNDED
     loss = one_of("loss", options.loss, LOSSES)

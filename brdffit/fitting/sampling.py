@@ -6,13 +6,14 @@ import copy
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.fitting.batch import LevelRules, ModelKernels, Output, fit_texels, make_output, model_kernels
-from brdffit.fitting.effects import Seen, complete, kernels_of, seen_by
+from brdffit.fitting.effects import Seen, complete, keep_energy, kernels_of, seen_by
 from brdffit.fitting.method import level_rules, search_settings, tolerant
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import Quality, quality_of
@@ -127,6 +128,7 @@ class LevelSample:
 
         self._in_parts(work)
         complete(output, seen, self.averages(options))
+        keep_energy(output, rules, search, partial(self._average, self.base.specular, options.pixel_filter))
         normal = output.normal.astype(np.float64)
         theta = np.zeros((len(self), 6))
         theta[:, 0:2] = -normal[:, 0:2] / np.maximum(normal[:, 2:3], 1e-3)
@@ -159,11 +161,12 @@ class LevelSample:
         seen, pixel_filter = self.seen(options), options.pixel_filter
         for name in seen.averaged:
             if (name, pixel_filter) not in self._averages:
-                wrap = "tile" if self.base.tile else "clamp"
-                self._averages[name, pixel_filter] = filter_texels(
-                    seen.averaged[name], self.size, get_pixel_filter(pixel_filter), wrap, self.columns, self.rows
-                )
+                self._averages[name, pixel_filter] = self._average(seen.averaged[name], pixel_filter)
         return {name: self._averages[name, pixel_filter] for name in seen.averaged}
+
+    def _average(self, image: NDArray, pixel_filter: str) -> NDArray:
+        wrap = "tile" if self.base.tile else "clamp"
+        return filter_texels(image, self.size, get_pixel_filter(pixel_filter), wrap, self.columns, self.rows)
 
     def measure(
         self, versions: list[Lobes], nodes: int = DENSE_NODES, samples: tuple[int, int] = DENSE_SAMPLES

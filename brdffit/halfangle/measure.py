@@ -84,11 +84,16 @@ def dense_strata(
     base_size: tuple[int, int], level_size: tuple[int, int], pixel_filter: str, samples: tuple[int, int] = DENSE_SAMPLES
 ) -> Strata:
     """Strata of the dense rule: at least four samples along each axis of a base texel, and between ``samples[0]`` and
-    ``samples[1]`` along an axis of the footprint."""
+    ``samples[1]`` along an axis of the footprint, but two a texel where ``samples[1]`` allows between one and two.
+
+    So strata end on texel centres, as bilinear patches do: one across a centre that is cut into parts is moved into one
+    patch, and at the rim of a footprint that counted the texels beyond it 16/9 times.
+    """
     chosen = get_pixel_filter(pixel_filter)
     width = 2.0 * chosen.radius * max(base_size[0] / level_size[0], base_size[1] / level_size[1])
     per_texel = max(4, 2 * math.ceil(0.5 * samples[0] / width))
-    return strata(chosen, base_size, level_size, per_texel, samples[1], seed=20231)
+    most = max(samples[1], math.ceil(2.0 * width)) if samples[1] > width else samples[1]
+    return strata(chosen, base_size, level_size, per_texel, most, seed=20231)
 
 
 @kernel
