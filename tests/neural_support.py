@@ -93,7 +93,8 @@ def predicted(network: Network, query, sigma=0.0):
             *along,
         ]
     out = chain(network, "decoder", np.concatenate([features, directions]))
-    return (np.exp(out[:3]) - 1) * (0.1 + 1 / (1 + np.exp(-out[3:])))
+    masks = out[3:] + features[3:6] if design.tilted else out[3:]
+    return (np.exp(out[:3]) - 1) * (0.1 + 1 / (1 + np.exp(-masks)))
 
 
 class CheckeredDepth:

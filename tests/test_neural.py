@@ -55,6 +55,17 @@ def test_both_stages_are_what_the_formulas_say(design):
     np.testing.assert_allclose(Reader(network, 1).predict(asked), np.maximum(expected, 0), atol=SINGLE)
 
 
+def test_a_guided_design_begins_with_white_light_on_the_colours_of_its_texels():
+    network = Network(Design(SIZE, with_offset=False), seed=3)
+    colour = np.array([1.2, 0.0, -2.2])
+    network.pyramid.reshape(-1, 8)[:, 3:6] = colour
+    found = np.array([predicted(network, query) for query in queries(200, np.random.default_rng(10))])
+    bright = found[np.abs(found[:, 0]) > 0.05]
+    masks = 0.1 + 1.0 / (1.0 + np.exp(-colour))
+    assert len(bright) > 50
+    np.testing.assert_allclose(bright / bright[:, :1], np.broadcast_to(masks / masks[0], bright.shape), atol=0.15)
+
+
 def loss_of(network, asked, targets, logarithmic, held, sigma):
     found = np.array([predicted(network, query, sigma) for query in asked])
     if logarithmic:

@@ -167,7 +167,7 @@ def test_the_paper_learns_radiance_under_unit_irradiance_on_the_plane(tmp_path):
     assert (error < 0.3 * power).all()
 
 
-@pytest.mark.parametrize("damage", ["digest", "shape", "nan", "size", "kind", "text"])
+@pytest.mark.parametrize("damage", ["digest", "shape", "nan", "size", "kind", "text", "older"])
 def test_damaged_materials_are_one_sentence(trained, tmp_path, damage):
     arrays, meta = read_weights(trained[1], "neural material")
     path = tmp_path / "damaged.npz"
@@ -181,7 +181,7 @@ def test_damaged_materials_are_one_sentence(trained, tmp_path, damage):
             arrays["pyramid.1"] = arrays["pyramid.1"][:-1]
         if damage == "nan":
             arrays["decoder.1.weight"][3, 4] = np.nan
-        changed = {"size": {"size": [32, 24]}, "kind": {"kind": "other"}}.get(damage, {})
+        changed = {"size": {"size": [32, 24]}, "kind": {"kind": "other"}, "older": {"own_colour": None}}.get(damage, {})
         write_weights(path, arrays, {**meta, **changed})
     with pytest.raises(InputError) as caught:
         read_material(path)

@@ -52,6 +52,11 @@ class TracedSource(QuerySource, Protocol):
         """(H, W) alpha^2 of the lobes, the mean of both axes."""
         ...
 
+    @property
+    def colour(self) -> NDArray:
+        """(H, W, 3) linear RGB, at least 0: diffuse albedo plus reflectance of the lobe."""
+        ...
+
     def parallax(self, position: NDArray, view: NDArray) -> NDArray:
         """(n, 2) from positions (n, 2) on the plane to the columns and rows seen from views (n, 3), in texels."""
         ...

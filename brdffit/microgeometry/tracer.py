@@ -16,7 +16,15 @@ from brdffit._jit import numba_type
 from brdffit.microgeometry.heightfield import HeightField
 from brdffit.microgeometry.kernels.paths import reflect_rows
 from brdffit.microgeometry.kernels.traversal import meet_rows
-from brdffit.render._kernels import P_NORMAL, P_ROUGHNESS, PERCEPTUAL, log_normalisation_type, shade_type
+from brdffit.render._kernels import (
+    P_DIFFUSE,
+    P_NORMAL,
+    P_ROUGHNESS,
+    P_SPECULAR,
+    PERCEPTUAL,
+    log_normalisation_type,
+    shade_type,
+)
 from brdffit.render._packing import shading_kernels
 from brdffit.render.terms import Terms
 from brdffit.roughness import tensor_from_log
@@ -116,6 +124,13 @@ class Microgeometry:
         if self.field.packed.roughness_kind == PERCEPTUAL:
             return np.square(np.square(found[:, 0])).reshape(self.size)
         return 0.5 * tensor_from_log(found.reshape(*self.size, 3))[..., :2].sum(axis=2)
+
+    @property
+    def colour(self) -> NDArray:
+        """(H, W, 3) float32 linear RGB: diffuse albedo plus reflectance of the lobe."""
+        texels = self.field.packed.texels
+        both = texels[:, P_DIFFUSE : P_DIFFUSE + 3] + texels[:, P_SPECULAR : P_SPECULAR + 3]
+        return both.reshape(*self.size, 3)
 
     @property
     def notes(self) -> list[str]:

@@ -4,7 +4,8 @@ Learned from colours alone, the parallax offset and the frames of texels are pul
 Adam moves a texel by about its rate in every step, however little that step knows, and a texel off there is another
 glint. A traced surface has a height and normals: the offset is taught where each query is seen (``kernels.offset``),
 and the frame of a texel stays as it is: its tilt is the mean normal under its filter, its width the mean alpha^2 and
-the variance of slopes there.
+the variance of slopes there. A wrong hue costs little of the loss of colours, so it is learned last: the colour of a
+texel stays that of the maps under its filter, which the light multiplies.
 """
 
 from __future__ import annotations
@@ -14,14 +15,17 @@ from numpy.typing import NDArray
 
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.microgeometry.queries import TracedSource
+from brdffit.neural.kernels.material import LEAST_MASK, OWN_COLOUR
 from brdffit.neural.kernels.textures import TEXEL
 from brdffit.neural.network import Network
 from brdffit.neural.questions import directions
 from brdffit.textures.encoding import slopes_of_normals
 
-#: Channels of a texel of the pyramid that hold its frame, and the steepest slope that is taken.
-FRAME = 3
+#: Channels of a texel of the pyramid that the surface gives: its frame and its colour; and the steepest slope taken.
+GUIDED = 6
 _STEEPEST = 3.0
+#: Bounds of a sigmoid that a colour begins with, where it still has a slope.
+_DARKEST, _BRIGHTEST = 0.02, 0.98
 
 
 def true_shifts(source: TracedSource, size: tuple[int, int], queries: NDArray) -> NDArray:
@@ -31,16 +35,18 @@ def true_shifts(source: TracedSource, size: tuple[int, int], queries: NDArray) -
     return np.ascontiguousarray(found / scale, np.float32)
 
 
-def set_frames(source: TracedSource, network: Network) -> None:
-    """Give each texel of the pyramid the frame of the surface under its filter, see ``kernels.material``.
+def set_texels(source: TracedSource, network: Network) -> None:
+    """Give each texel of the pyramid frame and colour of the surface under its filter, see ``kernels.material``.
 
     The width is that of a lobe whose distribution of slopes has the variance of the normals' slopes and of their lobes:
     per axis, half of |m|^2 in the mean less half of the mean's, and alpha^2 / 2 for a lobe of GGX cut where LEAN cuts
-    it (Olano and Baker 2010), both times 2 to be an alpha^2.
+    it (Olano and Baker 2010), both times 2 to be an alpha^2. The mask of the colour, with outputs of 0, is its share of
+    the largest reflectance of the surface.
     """
     bounds, pixel_filter = network.layout.bounds, get_pixel_filter("gaussian")
     slopes = slopes_of_normals(source.normals)
     both = np.concatenate([slopes, np.square(slopes).sum(axis=2, keepdims=True) + source.alpha2[..., None]], axis=2)
+    largest = max(float(source.colour.max()), 1e-6)
     for k, size in enumerate(network.layout.sizes):
         normal = filter_channels(source.normals, size, pixel_filter, "tile")
         moments = filter_channels(both, size, pixel_filter, "tile")
@@ -48,9 +54,12 @@ def set_frames(source: TracedSource, network: Network) -> None:
         texels = network.pyramid[bounds[k] : bounds[k + 1]].reshape(*size, TEXEL)
         texels[..., :2] = -normal[..., :2] / np.maximum(normal[..., 2:], 1.0 / _STEEPEST)
         texels[..., 2] = -0.25 * np.log(np.maximum(width, 1e-4))
+        colour = filter_channels(source.colour, size, pixel_filter, "tile") / largest
+        sigmoid = np.clip(colour - LEAST_MASK, _DARKEST, _BRIGHTEST)
+        texels[..., OWN_COLOUR : OWN_COLOUR + 3] = np.log(sigmoid / (1.0 - sigmoid))
 
 
-def held_frames(gradient: NDArray) -> NDArray:
-    """The gradient of a pyramid, without that of its frames, in place."""
-    gradient.reshape(-1, TEXEL)[:, :FRAME] = 0.0
+def held_texels(gradient: NDArray) -> NDArray:
+    """The gradient of a pyramid, without that of what the surface gives, in place."""
+    gradient.reshape(-1, TEXEL)[:, :GUIDED] = 0.0
     return gradient

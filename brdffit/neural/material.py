@@ -2,7 +2,8 @@
 
 The file is an .npz with ``meta`` (see ``brdffit.nets.weights``). In float16 it holds ``pyramid.0``, ``pyramid.1`` ...
 (h, w, 7) and ``offset_texture`` (h, w, 7); in float32 ``decoder.0.weight`` (inputs, outputs), ``decoder.0.bias``
-(outputs,) and so on for each layer, and likewise ``offset.0.weight`` ...
+(outputs,) and so on for each layer, and likewise ``offset.0.weight`` ... ``own_colour`` of the meta tells that features
+3 to 5 are added to the masks (``kernels.material``); tilted designs before had none of that, and are refused.
 """
 
 from __future__ import annotations
@@ -125,7 +126,7 @@ def meta_of(network: Network, on_plane: bool) -> dict[str, Any]:
     design = network.design
     return {
         "kind": KIND, "size": list(design.size), "tilted": design.tilted, "with_offset": design.with_offset,
-        "on_plane": on_plane, "weights": design.weights,
+        "own_colour": design.tilted, "on_plane": on_plane, "weights": design.weights,
     }  # fmt: skip
 
 
@@ -161,4 +162,6 @@ def _design_of(meta: Mapping[str, Any], path: Path) -> Design:
     if not sound or not all(0 < each <= _LARGEST and each & (each - 1) == 0 for each in size or ()):
         raise InputError(f"The weights '{path}' give the size {size}, expected two powers of two up to {_LARGEST}.")
     assert isinstance(size, list)
+    if meta.get("tilted") and not meta.get("own_colour"):
+        raise InputError(f"The weights '{path}' are of an older design, without colours of texels: learn them again.")
     return Design((size[0], size[1]), bool(meta.get("tilted")), bool(meta.get("with_offset")))

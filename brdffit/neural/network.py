@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from brdffit.neural.kernels.dense import LAYERS, MATRIX, NARROW, ONE, PITCH, ROWS, TRANSPOSED, UNITS
 from brdffit.neural.kernels.material import (
     OUTPUTS,
+    OWN_COLOUR,
     PLAIN_INPUTS,
     QUERY,
     TILTED_INPUTS,
@@ -43,7 +44,7 @@ class Design:
     Attributes:
         size: (height, width) of level 0 in texels, powers of two.
         tilted: whether the decoder gets directions relative to a frame of each texel, a tilt and a width, instead of
-            those of light and view as they are.
+            those of light and view as they are, and whether its masks are added to the texel's own colour.
         with_offset: whether the pyramid is read at a learned parallax offset.
     """
 
@@ -92,6 +93,8 @@ class Network:
             gain = {"decoder": 0.5, "offset": 0.1}[name]
             for k, (ins, outs) in enumerate(layers):
                 drawn = rng.standard_normal((ins, outs)) * np.sqrt(2.0 / ins) * (gain if k == LAYERS - 1 else 1.0)
+                if name == "decoder" and design.tilted:
+                    _begin_white(drawn, k)
                 self.put(name, k, drawn, np.zeros(outs))
 
     def put(self, name: str, layer: int, weight: NDArray, bias: NDArray) -> None:
@@ -119,6 +122,19 @@ class Network:
         if self.design.with_offset:
             found |= {"offset_texture": self.offset_texture, "offset": self.offset}
         return found
+
+
+def _begin_white(weight: NDArray, layer: int) -> None:
+    """Change the first weights of a tilted decoder so that its light is white and the texel's own colour is its hue.
+
+    Otherwise a drawn network has a hue of its own in each direction, which training hardly forgets. The three colours
+    begin alike, the masks near those of the texel, and hidden units nearly blind to its colour.
+    """
+    if layer == 0:
+        weight[OWN_COLOUR : OWN_COLOUR + 3] *= 0.1
+    if layer == LAYERS - 1:
+        weight[:, 1:3] = weight[:, :1]
+        weight[:, 3:] *= 0.1
 
 
 def _texels(layout: Layout, rng: np.random.Generator) -> NDArray:

@@ -2,9 +2,9 @@
 
 As the paper (``paper=True``): a fixed set of queries of 64 samples each, directions as they are, a loss on logarithms,
 and a blur of 8 texels at first, halved with every ninth of the training. By default the decoder gets directions
-relative to a frame of the texel; a surface that is traced tells frames and offset (``guidance``); the loss is not
-biased by noise, so that one sample a query is enough; new queries are made all the time, each used in a few steps since
-tracing takes longer than learning; and the blur ends at half of the training.
+relative to a frame of the texel; a surface that is traced tells frames, colours and offset (``guidance``); the loss is
+not biased by noise, so that one sample a query is enough; new queries are made all the time, each used in a few steps
+since tracing takes longer than learning; and the blur ends at half of the training.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from brdffit.errors import InputError
 from brdffit.machine import free_memory
 from brdffit.microgeometry.queries import Queries, QuerySource, TracedSource
 from brdffit.nets.adam import Adam
-from brdffit.neural.guidance import held_frames, set_frames, true_shifts
+from brdffit.neural.guidance import held_texels, set_texels, true_shifts
 from brdffit.neural.kernels.dense import LAYERS, MATRIX, ROWS
 from brdffit.neural.kernels.material import QUERY
 from brdffit.neural.material import KIND, arrays_of, meta_of
@@ -124,10 +124,10 @@ class NeuralTask:
             self.answers = Answers(source, size, on_plane=paper)
         self.trained = {name: Trained(each, np.zeros_like(each)) for name, each in self.network.parameters().items()}
         self.held = Held(self.answers, size, _JUDGED, _JUDGED_SAMPLES, paper)
-        #: The surface that guides offset and frames; without one, the loss of the colours teaches them.
+        #: The surface that guides offset, frames and colours; without one, the loss of the colours teaches them.
         self.guide = source if isinstance(source, TracedSource) and not paper else None
         if self.guide is not None:
-            set_frames(self.guide, self.network)
+            set_texels(self.guide, self.network)
         self.batches: dict[int, tuple[NDArray, NDArray]] = {}
         texels, self.count = size[0] * size[1], len(batch_of(size, np.random.default_rng(0)))
         self.kept = max(1, round(_PAPER_QUERIES * texels / self.count))
@@ -165,7 +165,7 @@ class NeuralTask:
         queries, targets = self.batch(number)
         loss, gradients = self.learner.accumulate(queries, targets, self.paper, self.guide is None)
         if self.guide is not None:
-            held_frames(gradients["pyramid"])
+            held_texels(gradients["pyramid"])
         if self.guide is not None and self.network.design.with_offset:
             every = _GUIDES if len(queries) >= _GUIDES * ROWS else 1
             asked = np.ascontiguousarray(queries[self.step % every :: every])

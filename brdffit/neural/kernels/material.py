@@ -1,19 +1,22 @@
 """One block of queries through the whole material, forward and backward (Kuznetsov et al. 2021, equation 8).
 
     r = F_off(T_off(u), v),     u' = u + r H(v),     H(v) = reach (v_x, -v_y) / max(v_z, 0.6),
-    f = P(u', level),           o = F(f, directions),      p = (exp(o_c) - 1) (0.1 + sigmoid(o_{3 + c})),  c = r, g, b.
+    f = P(u', level),           o = F(f, directions),      p = (exp(o_c) - 1) (0.1 + sigmoid(m_c)),  c = r, g, b.
 
 Rows of textures go down, +Y up: hence the sign. The factor of the sigmoid is the "shadow mask" of the authors' code.
+As printed, m_c = o_{3 + c} and the directions are (l_x, l_y, v_x, v_y).
 
-Directions, either as printed: (l_x, l_y, v_x, v_y); or seen from the texel's own frame, a tilt t = (f_0, f_1) and a
-width of its lobe w = exp(-4 f_2), so that a sharp lobe has a simple place: with the half vector h, u = h_xy + t h_z
-and g = u_x^2 + u_y^2,
+Seen from the texel's own frame, m_c = o_{3 + c} + f_{3 + c}: the texel's own colour multiplies the light, which four
+layers learn late, since a false hue costs little of the loss. Where o_{3 + c} is large the colour is white, as that
+of a highlight. The frame is a tilt t = (f_0, f_1) and a width of its lobe w = exp(-4 f_2), so that a sharp lobe has a
+simple place: with the half vector h, u = h_xy + t h_z and g = u_x^2 + u_y^2, the directions are
 
     (2 u_x, 2 u_y, v_x, v_y, -ln(g + w) / 4, l_z - t . l_xy, v_z - t . v_xy):
 
 u is 0 where h is the normal of slopes t, a lobe of GGX with alpha^2 = w is w / (g + w)^2 up to h_z, whose logarithm is
 linear in f_2 and the fifth of these, and the last two are cosines to that normal, up to its length. By t: du = h_z dt,
-d(l_z - t . l_xy) = -l_xy dt; by f_2: d(-ln(g + w) / 4) = w / (g + w) df_2.
+d(l_z - t . l_xy) = -l_xy dt; by f_2: d(-ln(g + w) / 4) = w / (g + w) df_2; by f_{3 + c}, beside what goes through the
+decoder: dp = dp/dm_c df_{3 + c}.
 
 Losses of a channel, with target y: (ln(1 + p) - ln(1 + y))^2 as the paper, with p at least -0.2; or its linearised
 form (p - y)^2 / (1 + p)^2 with the denominator held, whose gradient at p = E[y] has the mean 0 whatever the noise of
@@ -38,7 +41,11 @@ QUERY = 8
 OUTPUTS = 6
 #: Inputs of the decoder as printed, and seen from a learned tilt.
 PLAIN_INPUTS, TILTED_INPUTS = CHANNELS + 4, CHANNELS + 7
-_LEAST_MASK = _F(0.1)
+#: Features that are a texel's own colour: the first of three. Read by ``guidance`` and ``network``, too.
+OWN_COLOUR = 3
+#: The mask of m_c = -infinity; that of +infinity is larger by 1.
+LEAST_MASK = 0.1
+_LEAST_MASK = _F(LEAST_MASK)
 #: Bounds of f_2: lobes of an alpha between 0.007 and 2.7.
 _WIDEST, _NARROWEST = _F(-0.5), _F(2.5)
 _LEAST = _F(-0.2)
@@ -88,9 +95,11 @@ def direct(tilted, queries, start, inputs):
 
 
 @kernel
-def direct_back(queries, start, inputs, d_inputs):
-    """Add what goes through directions in a texel's own frame to dL/df_0, dL/df_1 and dL/df_2."""
+def direct_back(queries, start, inputs, d_out, d_inputs):
+    """Add what goes round the decoder to dL/df: through directions in a texel's own frame, and through its colour."""
     for i in range(ROWS):
+        for c in range(3):
+            d_inputs[i * NARROW + OWN_COLOUR + c] += d_out[i * NARROW + 3 + c]
         lx, ly, vx, vy = queries[start + i, 3], queries[start + i, 4], queries[start + i, 5], queries[start + i, 6]
         at, own = i * NARROW + CHANNELS, i * NARROW
         hx, hy, hz = lx + vx, ly + vy, height_of(lx, ly) + height_of(vx, vy)
@@ -108,13 +117,18 @@ def direct_back(queries, start, inputs, d_inputs):
 
 
 @kernel
-def decode_block(network, ins, inputs, hidden, out):
-    """o of a block whose features and directions are in ``inputs``."""
+def decode_block(network, tilted, inputs, hidden, out):
+    """o_c and m_c of a block whose features and directions are in ``inputs``."""
+    ins = TILTED_INPUTS if tilted else PLAIN_INPUTS
     one, zero = _F(1.0), _F(0.0)
     forward(network, 0, ins, 2, inputs, NARROW, hidden[0], PITCH, zero)
     forward(network, MATRIX, UNITS, 2, hidden[0], PITCH, hidden[1], PITCH, zero)
     forward(network, 2 * MATRIX, UNITS, 2, hidden[1], PITCH, hidden[2], PITCH, zero)
     forward(network, 3 * MATRIX, UNITS, 1, hidden[2], PITCH, out, NARROW, one)
+    if tilted:
+        for i in range(ROWS):
+            for c in range(3):
+                out[i * NARROW + 3 + c] += inputs[i * NARROW + OWN_COLOUR + c]
 
 
 @kernel
@@ -129,7 +143,7 @@ def colours(out, start, colour):
 
 @kernel
 def loss_back(out, targets, start, logarithmic, d_out):
-    """The sum of a block's losses; d_out becomes dL/do."""
+    """The sum of a block's losses; d_out becomes dL/do_c and dL/dm_c."""
     one, two = _F(1.0), _F(2.0)
     loss = 0.0
     for i in range(ROWS):
@@ -181,11 +195,11 @@ def train_part(
             )  # fmt: skip
         interpolate(pyramid, rooms, 2, queries, start, shift, inputs, corners, fractions)
         direct(tilted, queries, start, inputs)
-        decode_block(decoder, ins, inputs, hidden, out)
+        decode_block(decoder, tilted, inputs, hidden, out)
         losses[0] += loss_back(out, targets, start, logarithmic, d_out)
         chain_back(transposed[0], decoder_gradient, OUTPUTS, inputs, hidden, d_out, d_hidden, d_inputs)
         if tilted:
-            direct_back(queries, start, inputs, d_inputs)
+            direct_back(queries, start, inputs, d_out, d_inputs)
         spread(d_inputs)
         scatter(pyramid_gradient, 2, d_inputs, corners, fractions)
         if with_offset and learn_offset:
@@ -219,12 +233,11 @@ def look_up_part(
 @kernel
 def decode_part(first, last, features, queries, decoder, tilted, inputs, hidden, out, colour):
     """p for a light each, from features (n, 8), into colour (n, 3)."""
-    ins = TILTED_INPUTS if tilted else PLAIN_INPUTS
     for block in range(first, last):
         start = block * ROWS
         for i in range(ROWS):
             for c in range(CHANNELS):
                 inputs[i * NARROW + c] = features[start + i, c]
         direct(tilted, queries, start, inputs)
-        decode_block(decoder, ins, inputs, hidden, out)
+        decode_block(decoder, tilted, inputs, hidden, out)
         colours(out, start, colour)
