@@ -226,19 +226,3 @@ def evaluate(theta, nodes, setting, moments_kernel, log_normalisation, gradient,
     value += WALL * outside * outside
     gradient[5] += 2.0 * WALL * outside
     return value
-
-
-@kernel
-def evaluate_value(theta, nodes, setting, values_kernel, log_normalisation, values, work):
-    """The objective of ``evaluate`` without walls or gradient; ``values`` (N,) and ``work`` (16,) are scratch."""
-    values_kernel(theta, nodes, log_normalisation, values, work)
-    weight, target = nodes[WEIGHT], nodes[TARGET]
-    td, dd = real(0.0), real(0.0)
-    for j in range(nodes.shape[1]):
-        td += target[j] * values[j]
-        dd += weight[j] * values[j] * values[j]
-    if not dd > 0.0:
-        return 0.0
-    if setting[HELD] > 0.0:
-        return setting[SCALE] * (dd - 2.0 * td)
-    return -setting[SCALE] * td * (td / dd)

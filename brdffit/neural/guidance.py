@@ -1,11 +1,11 @@
-"""What a traced surface tells of itself, so that a neural material need not find it out from colours.
+"""Parallax, frames and colours that a traced surface gives to a neural material.
 
-Learned from colours alone, the parallax offset and the frames of texels are pulled about by the glints of a sharp lobe:
-Adam moves a texel by about its rate in every step, however little that step knows, and a texel off there is another
-glint. A traced surface has a height and normals: the offset is taught where each query is seen (``kernels.offset``),
-and the frame of a texel stays as it is: its tilt is the mean normal under its filter, its width the mean alpha^2 and
-the variance of slopes there. A wrong hue costs little of the loss of colours, so it is learned last: the colour of a
-texel stays that of the maps under its filter, which the light multiplies.
+A material that learns from colours alone finds these late or not at all. The glints of a sharp lobe move the offset and
+the frames at random, since Adam changes a parameter by about its rate in every step, however uncertain the gradient;
+and a wrong hue adds little to the loss. A traced surface has a height, normals and colours, so they are taken from it:
+the offset is taught the point that each query sees (``kernels.offset``). The frame of a texel is held at the mean
+normal under its filter, with a width from the mean alpha^2 and the variance of slopes there. The colour of a texel,
+which multiplies the light, is held at the filtered colour of the maps.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def true_shifts(source: TracedSource, size: tuple[int, int], queries: NDArray) -
 
 
 def set_texels(source: TracedSource, network: Network) -> None:
-    """Give each texel of the pyramid frame and colour of the surface under its filter, see ``kernels.material``.
+    """Give each texel of the pyramid the frame and the colour of the surface under its filter (``kernels.material``).
 
     The width is that of a lobe whose distribution of slopes has the variance of the normals' slopes and of their lobes:
     per axis, half of |m|^2 in the mean less half of the mean's, and alpha^2 / 2 for a lobe of GGX cut where LEAN cuts
