@@ -6,7 +6,6 @@ from their averages to the level's normal and roughness.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.footprint import get_pixel_filter, iter_pyramid
+from brdffit.machine import core_count
 from brdffit.methods import Level, LobeMethod, Progress, Pyramid
 from brdffit.models import Model, get_model
 from brdffit.options import LobeOptions
@@ -94,7 +94,7 @@ class FilteringMethod(LobeMethod):
             brdffit.errors.UnknownNameError: for an unknown model or pixel filter.
         """
         # NumPy and SciPy release the GIL; blocks are independent, so the result does not depend on the threads.
-        with ThreadPoolExecutor(options.threads or os.cpu_count()) as pool:
+        with ThreadPoolExecutor(options.threads or core_count()) as pool:
             return self._bake(svbrdf, options, progress, pool)
 
     def _bake(self, svbrdf: Svbrdf, options: LobeOptions, progress: Progress | None, pool: Executor) -> Pyramid:

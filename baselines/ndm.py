@@ -20,7 +20,6 @@ fixed rule in the slopes of a GGX lobe of the same width, whose tails are longer
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from numpy.typing import NDArray
 
 from brdffit.appearance import Lookups, trilinear
 from brdffit.footprint import get_pixel_filter, iter_pyramid
+from brdffit.machine import core_count
 from brdffit.methods import Baked, Image, Material, Progress
 from brdffit.options import BakeOptions
 from brdffit.roughness import tensor_from_log
@@ -147,7 +147,7 @@ class NormalDistributionMapping:
         pixel_filter = get_pixel_filter(options.pixel_filter)
         # Groups of channels are filtered in parallel, each by one thread.
         parts = [np.ascontiguousarray(image[..., part]) for part in (_MEAN, _MOMENTS, _SPECULAR, _DIFFUSE)]
-        with ThreadPoolExecutor(options.threads or os.cpu_count()) as pool:
+        with ThreadPoolExecutor(options.threads or core_count()) as pool:
             pyramids = [iter_pyramid(part, sizes[kept:], pixel_filter, svbrdf.wrap) for part in parts]
             for mip_level in range(kept, len(sizes)):
                 images.append(np.concatenate(list(pool.map(next, pyramids)), axis=-1))

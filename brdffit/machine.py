@@ -40,6 +40,11 @@ def machine() -> dict[str, Any]:
     }
 
 
+def core_count() -> int:
+    """Cores that this process may use: the number of threads where none is given."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def free_memory() -> int | None:
     """Bytes of memory that are free now, or None where the system does not tell."""
     try:

@@ -18,6 +18,7 @@ from brdffit.library import pool
 from brdffit.library.pool import BYTES_PER_TEXEL, Job, Pool
 from brdffit.library.run import run_library
 from brdffit.library.task import Found, Outcome, Task
+from brdffit.machine import core_count
 
 ROOT = Path(__file__).parent.parent
 
@@ -130,7 +131,7 @@ def test_a_lonely_set_gets_all_cores(monkeypatch):
 def test_a_set_with_no_room_on_this_machine_is_told_and_the_rest_is_baked(tmp_path):
     make_library(tmp_path / "in", count=2)
     write_maps(tmp_path / "in" / "giant", size=64)
-    overhead = pool.core_count() * pool.BYTES_PER_WORKER
+    overhead = core_count() * pool.BYTES_PER_WORKER
     memory = overhead + 1024 * BYTES_PER_TEXEL
     plan = run_library(tmp_path / "in", tmp_path / "out", dry_run=True, memory=memory).plan
     assert set(plan.failures) == {"giant"} and set(plan.reasons) == {"deep/set0", "set1"}
@@ -170,7 +171,11 @@ def test_an_error_of_the_program_stops_one_set_alone(with_odd_one):
 def start(folder, *options):
     """A run in a process of its own."""
     arguments = ["library", folder / "in", "-o", folder / "out", "--method", "lean", "--set", "levels=2", *options]
-    program = "import sys; from brdffit.cli import main; sys.argv[0] = 'brdffit'; main()"
+    # Background jobs of a shell ignore SIGINT, and children inherit that: an interrupt would do nothing.
+    program = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
+        "from brdffit.cli import main; sys.argv[0] = 'brdffit'; main()"
+    )
     command = [sys.executable, "-c", program, *map(str, arguments)]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -14,7 +14,7 @@ from brdffit.comparison.options import CompareOptions, Listener, PictureFiles, v
 from brdffit.comparison.set_comparison import SetComparison, fit_of
 from brdffit.comparison.surroundings import surroundings_of
 from brdffit.comparison.views import Studio
-from brdffit.machine import machine
+from brdffit.machine import core_count, machine
 from brdffit.methods import method_names
 from brdffit.render import lights as light_sets
 from brdffit.report.records import (
@@ -63,7 +63,7 @@ def compare(
     comparison = Comparison(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         command=command,
-        machine=machine() | {"threads": asked.shared.threads or os.cpu_count()},
+        machine=machine() | {"threads": asked.shared.threads or core_count()},
         options={
             **options, "environment": Path(asked.environment).name if asked.environment else "procedural",
             "pixels": asked.pixels, "frames": asked.frames, "texels": asked.texels, "pairs": asked.pairs,

@@ -221,8 +221,3 @@ def memory_limit() -> int:
         except (OSError, ValueError):
             continue
     return total * 4 // 5
-
-
-def core_count() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

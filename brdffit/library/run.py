@@ -18,12 +18,13 @@ from brdffit.files.atomic import terminated_as_exit
 from brdffit.library.bake import open_set, warm_up
 from brdffit.library.discovery import find_sets
 from brdffit.library.page import write_page
-from brdffit.library.pool import BYTES_PER_TEXEL, BYTES_PER_WORKER, Job, Pool, core_count, memory_limit
+from brdffit.library.pool import BYTES_PER_TEXEL, BYTES_PER_WORKER, Job, Pool, memory_limit
 from brdffit.library.record import write_record
 from brdffit.library.settings import Common, read_settings, split_options
 from brdffit.library.state import code_digest, reason_to_bake
 from brdffit.library.store import manifest_of, open_store
 from brdffit.library.task import Found, Outcome, Task
+from brdffit.machine import core_count
 from brdffit.methods import get_method
 from brdffit.options import refuse_unknown
 
@@ -132,7 +133,8 @@ def run_library(
         if shard is not None:
             chosen = chosen[shard[0] - 1 :: shard[1]]
         plan = _plan(tasks, chosen, store, force)
-        cores, count = core_count(), min(workers or core_count(), core_count())
+        cores = core_count()
+        count = min(workers or cores, cores)
         most = (memory or memory_limit()) - count * BYTES_PER_WORKER
         if scheduler is None:
             _refuse_giants(plan, most)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit._jit import numba_type
+from brdffit.machine import core_count
 from brdffit.microgeometry.heightfield import HeightField
 from brdffit.microgeometry.kernels.paths import reflect_rows
 from brdffit.microgeometry.kernels.traversal import meet_rows
@@ -99,7 +99,7 @@ class Microgeometry:
         self.field = field
         self.effects = effects
         self.light_size = light_size
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = threads or core_count()
         self._kernels = shading_kernels(field.packed.model, terms)
 
     @classmethod

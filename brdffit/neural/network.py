@@ -6,7 +6,6 @@ in a fixed order, so the same seed gives the same bytes for any number of thread
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.machine import core_count
 from brdffit.neural.kernels.dense import LAYERS, MATRIX, NARROW, ONE, PITCH, ROWS, TRANSPOSED, UNITS
 from brdffit.neural.kernels.material import (
     OUTPUTS,
@@ -169,7 +169,7 @@ class Reader:
 
     def __init__(self, network: Network, threads: int | None = None) -> None:
         self.network = network
-        self.pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
+        self.pool = ThreadPoolExecutor(threads or core_count())
         self.scratch = [Scratch() for _ in range(PARTS)]
         self.pyramid = np.zeros(network.layout.floats, np.float32)
         self.offset_texture = np.zeros(network.base.floats, np.float32)

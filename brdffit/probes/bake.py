@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from brdffit.errors import InputError
 from brdffit.files.atomic import first_other, replacing
 from brdffit.files.image_io import file_sha256
-from brdffit.machine import free_memory
+from brdffit.machine import core_count, free_memory
 from brdffit.probes.containers import RADIANCE_FORMATS
 from brdffit.probes.cubemap import directions
 from brdffit.probes.curves import Curve, get_curve
@@ -35,7 +35,6 @@ from brdffit.probes.filtering import (
 )
 from brdffit.probes.harmonics import irradiance_nine, nine_basis
 from brdffit.probes.letters import draw_faces
-from brdffit.probes.parallel import default_threads
 from brdffit.probes.picture import probe_picture
 from brdffit.probes.presets import ProbePreset, get_probe_preset
 from brdffit.probes.reading import CENTRES, Surroundings, as_cube, is_built_in, read_surroundings, reoriented
@@ -143,7 +142,7 @@ def make_probe(path: str | Path, options: ProbeOptions, threads: int | None = No
     Raises:
         InputError: as ``read_surroundings``, and for options that are out of range or do not go together.
     """
-    threads = threads or default_threads()
+    threads = threads or core_count()
     preset, curve, tables = checked(options)
     began = time.perf_counter()
     surroundings = read_surroundings(path, options.layout, options.clamp)
@@ -322,7 +321,7 @@ def bake_probe(
         began = time.perf_counter()
         files = write_probe(probe, folder)
         if options.picture:
-            probe_picture(probe, folder / "picture.png", options.tolerance, threads or default_threads())
+            probe_picture(probe, folder / "picture.png", options.tolerance, threads or core_count())
             title = f"{path.name} for {probe.preset.name}, faces as stored, {probe.preset.turning}"
             draw_faces(probe.stored(probe.levels[0].radiance / np.float32(probe.scale)), folder / "faces.png", title)
             files += ["picture.png", "faces.png"]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from brdffit.errors import InputError
 from brdffit.files.atomic import first_other, replacing
+from brdffit.machine import core_count
 from brdffit.probes.cmgen import beside_cmgen, installed
 from brdffit.probes.compare_page import page
 from brdffit.probes.curves import get_curve
@@ -24,7 +25,6 @@ from brdffit.probes.filtering import Exact, FilterOptions, LevelRequest, filter_
 from brdffit.probes.harmonics import truncation_error
 from brdffit.probes.importance import preimage_errors
 from brdffit.probes.lookup import fitted_to_lookup, lookup_errors
-from brdffit.probes.parallel import default_threads
 from brdffit.probes.published import TABLE_1, TABLE_1_SAMPLES, TABLE_3, TABLE_3_ORDERS
 from brdffit.probes.reading import as_cube, read_surroundings
 from brdffit.probes.report_pictures import draw_front, draw_histories, draw_levels, draw_point_responses
@@ -50,7 +50,7 @@ def compare_to_folder(
         InputError: when an environment cannot be used.
         OutputError: when the folder cannot be written.
     """
-    threads = threads or default_threads()
+    threads = threads or core_count()
     paths = named_environments(sources)
     cubes = {name: as_cube(read_surroundings(path), BASE_SIZE, threads=threads) for name, path in paths.items()}
     with replacing(output, _foreign) as folder:

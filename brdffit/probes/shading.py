@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from brdffit.machine import core_count
 from brdffit.models.microfacet import LEAST_REFLECTANCE
 from brdffit.probes.cubemap import look_up, look_up_trilinear
 from brdffit.probes.curves import Curve, get_curve
@@ -31,7 +32,6 @@ from brdffit.probes.filtering import (
     filter_levels,
     level_requests,
 )
-from brdffit.probes.parallel import default_threads
 from brdffit.probes.presets import get_probe_preset
 from brdffit.probes.reading import Surroundings, as_cube
 from brdffit.probes.split_sum import dfg_table
@@ -67,7 +67,7 @@ class ProbeLight:
         Raises:
             UnknownNameError: when there is no such preset.
         """
-        engine, threads = get_probe_preset(preset), threads or default_threads()
+        engine, threads = get_probe_preset(preset), threads or core_count()
         curve = get_curve(engine.curve, engine.levels, engine.size)
         surroundings = Surroundings(Path(), "latlong", np.ascontiguousarray(radiance, np.float32))
         size = max(min(surroundings.natural_size, LARGEST_SOURCE), engine.size)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import NamedTuple
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.footprint import PixelFilter
+from brdffit.machine import core_count
 
 #: progress(done, total) in pixels.
 Progress = Callable[[int, int], None]
@@ -135,7 +135,7 @@ def run_in_threads(
 ) -> None:
     """Run jobs on threads (the loops release the GIL); each returns how many pixels it did."""
     done = 0
-    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+    with ThreadPoolExecutor(threads or core_count()) as pool:
         waiting: set[Future[int]] = {pool.submit(work, *job) for job in jobs}
         try:
             while waiting:
