@@ -1,8 +1,9 @@
-"""The one place that compiles: flags, the cache folder, and how a template becomes one kernel a model.
+"""All compilation by Numba: its flags, the folders of its cache, and kernels compiled once for each lobe model.
 
-A cached caller of Numba keeps using an edited callee of another module, silently. So the cache lives in a folder
-named after the hash of all kernel sources: an edit anywhere starts a fresh one. A lobe of the user's own is bound into
-our kernels; what is compiled with it lives in a folder named after the sources of all that is bound as well.
+Numba checks only the file of a cached kernel, not the files of the functions that it calls, and so would go on using an
+old version of an edited function. Therefore each cache folder is named after the hash of all sources that its kernels
+may use: after an edit the name is another, and the kernels are compiled again. A lobe that a user wrote is compiled
+into our kernels; their folder is named after the user's sources as well.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 
 import llvmlite.binding
 
-#: The rooms whose kernels a room's kernels may call, itself included: an edit there makes its cache stale.
+#: For each folder with kernels, all folders whose kernels it may call, itself included.
 _KERNEL_ROOMS = {
     "fitting": ("models", "halfangle", "fitting"),
     "render": ("models", "halfangle", "render"),
@@ -36,7 +37,7 @@ def _cache_root() -> Path:
 
 
 def _cache_folder(group: str, base: Path) -> str:
-    """Folder of compiled kernels below ``base``: the hash of every source that the group's kernels may stand on."""
+    """Folder below ``base`` for a group's compiled kernels, named after the hash of all sources that they may use."""
     root = Path(__file__).parent
     digest = hashlib.sha256(Path(__file__).read_bytes())
     for room in _KERNEL_ROOMS[group]:
@@ -59,9 +60,9 @@ def _use_wide_vectors() -> None:
         os.environ["NUMBA_CPU_FEATURES"] = features.flatten() + ",-prefer-256-bit"
 
 
-#: Where each room's kernels are kept: the hash goes below whatever folder the user chose.
+#: Where the compiled kernels of each group are.
 CACHE_FOLDERS = {group: _cache_folder(group, _cache_root()) for group in _KERNEL_ROOMS}
-# Numba reads its variables at import.
+# Before Numba is imported: it reads its environment variables then.
 _use_wide_vectors()
 
 import numba  # noqa: E402
@@ -71,17 +72,18 @@ from numba.core import codegen  # noqa: E402
 
 
 def _keep_copies_apart() -> None:
-    """Give each compiled function copies of its own of what it calls.
+    """Make the last bits of a result independent of which other kernels are loaded.
 
-    Numba links callees into their callers under names that any loaded library may define, and the process then takes
-    whichever came first. What was compiled or loaded before would so decide about the last bits of a result: a first
-    run, which compiles the callees too, and a later one, which loads the callers alone, would differ. With internal
-    linkage they cannot; for linking into further callers Numba is left the copies as it knows them.
+    Numba copies the functions that a kernel calls into the kernel's library, optimised with it. But it exports these
+    copies, and if two libraries export the same name, the process uses the copy that was loaded first, also from the
+    other library. The copies may round differently. So a first run, which compiles the called functions too, and a
+    later run, which loads the kernel alone, would differ in last bits. Here each library's copies become internal, so
+    that it uses its own. Kernels that are compiled later link to ``_shared_module``, which still exports them.
     """
     original = codegen.JITCodeLibrary._finalize_final_module
 
     def finalize(library):  # type: ignore[no-untyped-def]
-        if library._shared_module is not None:  # loaded from the cache: it is as it was compiled
+        if library._shared_module is not None:  # loaded from the cache, where it was changed before
             return original(library)
         shared = library._final_module.clone()
         for function in shared.functions:
@@ -93,25 +95,25 @@ def _keep_copies_apart() -> None:
                 function.linkage = "internal"
         return original(library)
 
-    codegen.JITCodeLibrary._finalize_final_module = finalize  # type: ignore[method-assign]  # there is no other door
+    codegen.JITCodeLibrary._finalize_final_module = finalize  # type: ignore[method-assign]  # Numba has no option for it
 
 
 _keep_copies_apart()
 
-#: Reassociation and contraction give the full speed; nnan and ninf stay out, so that isfinite keeps its meaning.
+#: Sums may be reordered and products fused. Not "nnan" and "ninf", with which isfinite would always be true.
 _FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
 _FLAGS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": _FASTMATH, "error_model": "numpy"}
 
 
-#: What a kernel that makes arrays of its own calls.
+#: Functions that allocate arrays.
 _ALLOCATORS = {"zeros", "empty", "ones"}
 
 
 def _compile(function: Callable, **flags: Any) -> Any:
-    """A dispatcher whose cache is that of its module's room.
+    """Compile a function on its first call; its cache is in the folder of its group.
 
-    Unless it makes arrays of its own it counts no references: each row of an array would cost two locked additions, and
-    whoever calls a kernel holds its arrays anyway.
+    Reference counts are left out unless the function allocates arrays. They would cost two atomic additions for each
+    row that is taken of an array, and a kernel's arrays are kept alive by its caller anyway.
     """
     flags["_nrt"] = bool(_ALLOCATORS & set(function.__code__.co_names))
     room = function.__module__.removeprefix("brdffit.").partition(".")[0]
@@ -122,14 +124,15 @@ def _compile(function: Callable, **flags: Any) -> Any:
     return numba.njit(**flags)(function)
 
 
-#: Modules whose functions Numba compiles in ways of its own: a version of the machine's, not a source of the user's.
+#: Modules that are not searched for sources of a user's lobe: Python's own, and those whose functions Numba replaces.
 _NOT_FOLLOWED = {*sys.stdlib_module_names, "numpy", "numba", "scipy", "llvmlite"}
 
 
 def _foreign_sources(function: Callable) -> frozenset[str]:
-    """What a kernel stands on that is no part of brdffit: files of the functions it calls, and values that those read.
+    """Everything outside of brdffit that a kernel's code depends on: as "file PATH" and "value NAME VALUE".
 
-    Functions are followed through the globals that they name, attributes of modules included.
+    Files are those of the functions that it calls, directly or not; values are the constants that these functions read.
+    Functions are found by the global names that they use, also as attributes of modules.
     """
     own = str(Path(__file__).parent) + os.sep
     found: set[str] = set()
@@ -178,29 +181,34 @@ def kernel(function: Callable) -> Any:
 
 
 def inline(function: Callable) -> Any:
-    """Scalar maths that is inlined into the loops that call it."""
+    """Compile scalar maths, which LLVM inlines into the loops that call it."""
     return _compile(function, forceinline=True, **_FLAGS)
 
 
 def part(function: Callable) -> Any:
-    """A piece of one longer kernel: put into its caller before anything is optimised.
+    """Compile a part of a longer kernel, inlined before anything is optimised.
 
-    LLVM optimises a kernel by itself and again within each of its callers, so that a chain of calls compiles its end
-    as often as it is long.
+    This saves time: LLVM optimises other kernels by themselves and again in each kernel that calls them, so that the
+    last of a chain of five calls would be optimised five times.
     """
     return _compile(function, inline="always", **_FLAGS)
 
 
 def specialise(template: Any, suffix: str, **bindings: Any) -> Any:
-    """A kernel with the code of ``template`` and some of its global names bound anew: one loop, many models.
+    """A copy of the kernel ``template`` in which some global names have other values: one loop for many lobe models.
 
-    Kernels that the template calls and that use a bound name themselves are specialised along. A closure would never
-    reach the disk cache; a function of its own, with a name of its own, does.
+    Kernels that the template calls are copied likewise if they use one of these names, directly or not. Closures would
+    be simpler, but Numba's disk cache does not take them; it takes functions with names of their own.
+
+    Args:
+        template: a compiled kernel.
+        suffix: is added to the name of each copy.
+        bindings: values by global name.
     """
     source = template.py_func
     names = set(source.__code__.co_names)
     new_globals = dict(source.__globals__)
-    # What is bound may itself use a bound name (the float type): specialised along.
+    # A value that is a kernel may itself use another of the names (the float type); then it is copied, too.
     own = {name: value for name, value in bindings.items() if value is not source.__globals__.get(name)}
     for name, value in bindings.items():
         if isinstance(value, numba.core.dispatcher.Dispatcher):
