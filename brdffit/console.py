@@ -65,6 +65,8 @@ class BakeDisplay:
 
     def phase(self, name: str) -> None:
         """A phase begins; names without an entry in ``_PHASES`` are shown as they stand."""
+        if name == self._phase:
+            return
         now = time.perf_counter()
         if self._phase == "compiling":
             self._console.print(f"Compiled in {now - self._phase_began:.1f} s.")

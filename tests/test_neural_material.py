@@ -147,6 +147,29 @@ def test_same_seed_same_material_on_any_number_of_threads_and_when_resumed(tmp_p
     assert not checkpoint_path(tmp_path / "three.npz").exists()
 
 
+def test_a_checkpoint_of_another_training_is_refused(tmp_path):
+    file = tmp_path / "material.npz"
+    task = NeuralTask(CheckeredDepth(), (16, 16))
+    arrays = {f"{name}.{kind}": each.weights for name, each in task.networks().items()
+              for kind in ("weights", "mean", "square")}  # fmt: skip
+    meta = {"kind": "checkpoint of neural material", "steps": 1, "seconds": 1.0, "losses": [], "figures": []}
+
+    def resumed(**said):
+        write_weights(checkpoint_path(file), arrays, meta | said)
+        train(task, file, minutes=None, steps=1, resume=True, settings=task.settings)
+
+    resumed(**task.settings, seed=0)
+    file.unlink()
+    for said, sentence in (
+        ({"seed": 0}, "is of an older version of brdffit: train without --resume"),
+        ({**task.settings, "seed": 1}, "has seed 1, expected 0"),
+        ({**task.settings, "seed": 0, "paper": True}, "has paper True, expected False"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            resumed(**said)
+        assert not file.exists()
+
+
 def test_the_paper_learns_radiance_under_unit_irradiance_on_the_plane(tmp_path):
     task = NeuralTask(CheckeredDepth(), (8, 8), seed=6, paper=True)
     train(task, tmp_path / "paper.npz", minutes=None, steps=200, seed=6)

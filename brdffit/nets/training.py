@@ -85,7 +85,7 @@ def checkpoint_path(output: Path) -> Path:
 
 def train(
     task: Task, output: Path, *, minutes: float | None, steps: int | None = None, seed: int = 0, resume: bool = False,
-    told: Told | None = None,
+    told: Told | None = None, settings: Mapping[str, Any] | None = None,
 ) -> Curve:  # fmt: skip
     """Train for a number of minutes, or of steps, and write the weights and their curve as SVG.
 
@@ -99,10 +99,11 @@ def train(
         seed: of the batches.
         resume: continue from the checkpoint beside ``output``.
         told: is called with the progress.
+        settings: what else a training must have in common with the checkpoint that it continues from, as JSON has it.
 
     Raises:
         InputError: when both or neither of minutes and steps are given, there is nothing to resume, or the checkpoint
-            is of another kind, seed or shape.
+            is of another kind, seed or shape, or has other settings.
         OutputError: when a file cannot be written.
     """
     if (minutes is None) == (steps is None):
@@ -110,8 +111,9 @@ def train(
     networks = task.networks()
     optimisers = {name: task.optimiser(network.weights.size) for name, network in networks.items()}
     curve, before, step = Curve(), 0.0, 0
+    settings = {**(settings or {}), "seed": seed}
     if resume:
-        before, step, curve = _resumed(checkpoint_path(output), task.kind, seed, networks, optimisers)
+        before, step, curve = _resumed(checkpoint_path(output), task.kind, settings, networks, optimisers)
     start = last_figure = time.monotonic()
     losses: list[float] = []
     while True:
@@ -133,7 +135,7 @@ def train(
             curve.figures.append((seconds, task.figure()))
             if told is not None:
                 told(seconds, step, done, curve.losses[-1][1] if curve.losses else 0.0, curve.figures[-1][1])
-            _write_checkpoint(output, task, seed, networks, optimisers, seconds, step, curve)
+            _write_checkpoint(output, task, settings, networks, optimisers, seconds, step, curve)
             last_figure = time.monotonic()
     seconds = before + time.monotonic() - start
     curve.figures.append((seconds, task.figure()))
@@ -156,30 +158,33 @@ def write_trained(output: Path, task: Task, seed: int, seconds: float, step: int
 
 
 def _write_checkpoint(
-    output: Path, task: Task, seed: int, networks: Mapping[str, Network], optimisers: Mapping[str, Adam],
-    seconds: float, step: int, curve: Curve,
+    output: Path, task: Task, settings: Mapping[str, Any], networks: Mapping[str, Network],
+    optimisers: Mapping[str, Adam], seconds: float, step: int, curve: Curve,
 ) -> None:  # fmt: skip
     arrays = {}
     for name, network in networks.items():
         arrays[f"{name}.weights"] = network.weights
         arrays[f"{name}.mean"], arrays[f"{name}.square"] = optimisers[name].mean, optimisers[name].square
     meta = {
-        "kind": f"checkpoint of {task.kind}", "seed": seed, "steps": step, "seconds": seconds,
+        **settings, "kind": f"checkpoint of {task.kind}", "steps": step, "seconds": seconds,
         "losses": curve.losses, "figures": curve.figures,
     }  # fmt: skip
     write_weights(checkpoint_path(output), arrays, meta)
     # The weights so far are usable if the training is stopped.
-    write_trained(output, task, seed, seconds, step, curve)
+    write_trained(output, task, settings["seed"], seconds, step, curve)
 
 
 def _resumed(
-    path: Path, kind: str, seed: int, networks: Mapping[str, Network], optimisers: Mapping[str, Adam]
+    path: Path, kind: str, settings: Mapping[str, Any], networks: Mapping[str, Network], optimisers: Mapping[str, Adam]
 ) -> tuple[float, int, Curve]:
     if not path.is_file():
         raise InputError(f"There is no checkpoint '{path}' to resume from.")
     arrays, meta = read_weights(path, f"checkpoint of {kind}")
-    if meta["seed"] != seed:
-        raise InputError(f"The checkpoint '{path}' is of seed {meta['seed']}, expected {seed}.")
+    for name, value in settings.items():
+        if name not in meta:
+            raise InputError(f"The checkpoint '{path}' is of an older version of brdffit: train without --resume.")
+        if meta[name] != value:
+            raise InputError(f"The checkpoint '{path}' has {name} {meta[name]}, expected {value} as asked for.")
     for name, network in networks.items():
         shape = network.weights.shape
         network.weights[:] = shaped(arrays, f"{name}.weights", shape, path)

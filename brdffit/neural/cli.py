@@ -47,7 +47,7 @@ def train(
         opened.source, opened.size, seed, paper=paper, with_offset=not no_offset, threads=threads, named=opened.named
     )
     minutes = 10.0 if steps is None and minutes is None else minutes
-    train_with_bar(task, output, minutes, steps, seed=seed, resume=resume)
+    train_with_bar(task, output, minutes, steps, seed=seed, resume=resume, settings=task.settings)
 
 
 @neural.command()

@@ -135,6 +135,12 @@ class NeuralTask:
             self.kept = max(_LEARNED, min(_KEPT, (256 << 20) // (4 * texels * 4 * (QUERY + 3))))
         self.step, self.done = 0, 0.0
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What a training must have in common with the checkpoint that it continues from, besides seed and shapes."""
+        design = meta_of(self.network, self.paper)
+        return {name: design[name] for name in ("size", "with_offset", "own_colour")} | {"paper": self.paper}
+
     def networks(self) -> Mapping[str, Any]:
         """Textures and weights, by name."""
         return self.trained
