@@ -193,6 +193,7 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
     help="Compare with the maps, or with the traced height.",
 )
 @click.option("--bounces", type=click.IntRange(min=0), default=1, help="Bounces of light on a traced height.")
+@click.option("--viewer", is_flag=True, help="Link a page of `brdffit view` of each set too: some 5 MB.")
 @click.option(
     "--through-probe", metavar="ENGINE", help="Light by a probe too, for this engine (`brdffit probe --for`)."
 )
@@ -200,8 +201,8 @@ def library(context: click.Context, root: Path, output: str, memory: float | Non
 @click.pass_context
 def compare(
     context: click.Context, sources: tuple[str, ...], output: Path | None, records: str | None,
-    scene_file: Path | None, truth: str | None, bounces: int, through_probe: str | None, assigned: dict[str, str],
-    **asked: Any,
+    scene_file: Path | None, truth: str | None, bounces: int, through_probe: str | None, viewer: bool,
+    assigned: dict[str, str], **asked: Any,
 ) -> None:  # fmt: skip
     """Bake each SET by every method, compare the results with a reference, and write a report."""
     from brdffit.comparison.console import compare_to_folder, print_summary, redraw
@@ -227,7 +228,7 @@ def compare(
             make = functools.partial(traced_truth, effects=Effects(bounces=bounces), threads=given.get("threads"))
             given = {"methods": methods_of_table(given)} | given
         chosen = dataclasses.replace(
-            CompareOptions.of(reading=reading, **given), truth=make, through_probe=through_probe
+            CompareOptions.of(reading=reading, **given), truth=make, through_probe=through_probe, viewer=viewer
         )
         page = compare_to_folder(sources, output or "report", chosen)
     print_summary(page)

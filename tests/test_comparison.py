@@ -90,7 +90,7 @@ def test_a_constant_material_is_kept_by_every_method():
 
 
 def test_records_are_whole(bumpy):
-    found, pictures = bumpy
+    found, pictures, _ = bumpy
     result = found.sets[0]
     assert [each.method for each in result.methods] == ["bfgs", "naive", "vmf"]
     assert sorted(picture_names(found)) == sorted(pictures)
@@ -114,7 +114,7 @@ def test_records_are_whole(bumpy):
 
 def test_views_of_the_environment_are_drawn_once_more_through_a_probe():
     asked = dataclasses.replace(small_ask("naive"), lit=("environment",), through_probe="activision")
-    found, pictures = compare([material(bumps=0.2)], asked)
+    found, pictures, _ = compare([material(bumps=0.2)], asked)
     seen = {view.key: view for view in found.sets[0].views}
     for key in ("near-environment", "mid-environment", "far-environment", "sphere"):
         exact, through = seen[key], seen[key + "-probe"]
@@ -153,9 +153,34 @@ def test_nothing_is_kept_twice(options, kept):
 
 
 def test_a_comparison_can_be_written_and_read(bumpy, tmp_path):
-    path = write_report(*bumpy, tmp_path / "report")
+    path = write_report(*bumpy[:2], tmp_path / "report")
     assert b"height" in path.read_bytes()
     assert to_json(bumpy[0])
+
+
+def test_the_report_links_a_page_of_the_viewer_and_keeps_it_when_drawn_anew(tmp_path):
+    asked = dataclasses.replace(small_ask("naive", "lean", "bfgs", "vmf", "toksvig"), viewer=True)
+    made = compare([material(bumps=0.2)], asked)
+    assert list(made.viewer) == [made.comparison.sets[0].viewer] == ["viewer/set-1.html"]
+    for text in ('"bfgs"', '"naive"', '"lean"'):
+        assert text in made.viewer["viewer/set-1.html"]
+    assert '"vmf"' not in made.viewer["viewer/set-1.html"]
+    folder = tmp_path / "report"
+    page = write_report(made.comparison, made.pictures, folder, made.viewer)
+    assert 'href="viewer/set-1.html"' in page.read_text(encoding="utf-8")
+    before = (folder / "viewer" / "set-1.html").read_bytes()
+    result = CliRunner().invoke(main, ["compare", "--from", str(folder / "records.json")])
+    assert result.exit_code == 0, result.output
+    assert (folder / "viewer" / "set-1.html").read_bytes() == before
+    (folder / "viewer" / "set-1.html").unlink()
+    result = CliRunner().invoke(main, ["compare", "--from", str(folder / "records.json")])
+    assert result.exit_code == 1 and "viewer/set-1.html" in result.output
+
+
+def test_a_set_that_the_viewer_cannot_draw_has_no_page():
+    asked = dataclasses.replace(small_ask("naive"), viewer=True)
+    made = compare([material().replace(model="beckmann")], asked)
+    assert made.viewer == {} and made.comparison.sets[0].viewer == ""
 
 
 def test_no_method_at_all():

@@ -33,7 +33,7 @@ ASK = dataclasses.replace(
 
 def test_maps_are_held_against_the_height_level_by_level():
     deep, flat = material(bumps(32, 3.0), specular=0.0), material(np.zeros((32, 32)), specular=0.0)
-    comparison, pictures = compare([deep, flat], dataclasses.replace(ASK, truth=traced_truth))
+    comparison, pictures, _ = compare([deep, flat], dataclasses.replace(ASK, truth=traced_truth))
     rows = [dict(level_table(result.views)) for result in comparison.sets]
     assert [set(each) for each in rows] == [{"naive", "lean"}] * 2
     assert len(rows[0]["lean"]) == 6
@@ -75,7 +75,7 @@ def test_a_neural_material_from_a_file_is_a_method_of_the_table(tmp_path, monkey
     found = CliRunner().invoke(main, asked, catch_exceptions=False)
     assert found.exit_code == 0 and "traced, at 45 degrees" in found.output
     assert f"The neural material is that of '{file}'" in found.output
-    comparison, _ = read_report(report)
+    comparison = read_report(report).comparison
     rows = dict(level_table(comparison.sets[0].views))
     assert list(rows) == ["lean", "neural"] and len(rows["neural"]) == 6
     assert all(np.isfinite(figures).all() for figures in rows["neural"])

@@ -222,7 +222,7 @@ def test_report_and_drawing_it_anew_give_the_same_page(made, tmp_path):
     folder = tmp_path / "report"
     path = write_report(*made, folder)
     first = path.read_text(encoding="utf-8")
-    read, pictures = read_report(folder / "records.json")
+    read, pictures, _ = read_report(folder / "records.json")
     assert all(np.array_equal(pictures[name], made[1][name]) for name in records.picture_names(made[0]))
     path.unlink()
     assert page.render_page(read, pictures) == first

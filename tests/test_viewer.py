@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import zlib
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from brdffit.export.writing import write_baked
 from brdffit.files.image_io import write_png
 from brdffit.methods import Baked
 from brdffit.models.microfacet import brdf
-from brdffit.viewer import command
+from brdffit.viewer import page as viewer_page
 from brdffit.viewer.command import view
 from brdffit.viewer.packing import LOG_STEPS, MOST_SPECULAR, NORMAL_STEPS, pack_environment, pack_levels, planes
 
@@ -118,9 +119,9 @@ def test_what_cannot_be_shown_is_told(tmp_path):
 
 
 def test_the_middle_of_a_large_set_is_shown(monkeypatch):
-    monkeypatch.setattr(command, "MOST_TEXELS", 4)
+    monkeypatch.setattr(viewer_page, "MOST_TEXELS", 4)
     base = random_svbrdf((6, 10))
-    np.testing.assert_array_equal(command._middle(base).normal, base.normal[1:5, 3:7])
+    np.testing.assert_array_equal(viewer_page.middle(base).normal, base.normal[1:5, 3:7])
 
 
 def test_the_lobe_of_the_page_is_the_renderer_s(tmp_path):
@@ -142,7 +143,7 @@ def test_the_lobe_of_the_page_is_the_renderer_s(tmp_path):
     specular, diffuse = specular.astype(np.float32), diffuse.astype(np.float32)
     wanted = brdf(normal, tensor, specular, diffuse, seen_from, light)
 
-    shader = (command.files("brdffit.viewer") / "page.html").read_text(encoding="utf-8")
+    shader = (files("brdffit.viewer") / "page.html").read_text(encoding="utf-8")
     lobe = shader.split("//LOBE")[1].split("//END")[0]
     stored = np.zeros((count, 6, 4), np.float32)
     for place, values in enumerate((light, seen_from, normal, tensor, specular, diffuse)):

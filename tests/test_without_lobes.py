@@ -55,7 +55,7 @@ def test_the_command_bakes_and_prints_it(folder, tmp_path):
 
 def test_it_is_compared_with_the_others(folder, tmp_path):
     ask = CompareOptions(methods=("naive", MATT), pixels=12, frames=4, texels=4, pairs=16, lobes=2, samples="draft")
-    comparison, pictures = compare([folder], ask)
+    comparison, pictures, _ = compare([folder], ask)
     (result,) = comparison.sets
     naive, matt = result.methods
     assert naive.maps and naive.levels[0].half_angle_snr_db is not None
@@ -79,5 +79,5 @@ def test_records_of_levels_that_are_seen_can_be_read_again(folder, tmp_path):
     """What a scene asks for, the first and last level, is several numbers; records hold one value each."""
     ask = CompareOptions(methods=("naive",), pixels=12, frames=4, texels=4, pairs=16, lobes=2, samples="draft",
               options={"fit.reach": (1, 2)})  # fmt: skip
-    page = write_report(*compare([folder], ask), tmp_path / "report")
+    page = write_report(*compare([folder], ask)[:2], tmp_path / "report")
     assert read_records(page.with_name("records.json")).options["reach"] == "1,2"

@@ -20,6 +20,7 @@ from brdffit.render import lights as light_sets
 from brdffit.report.records import (
     Comparison,
     MethodInfo,
+    Report,
     SetResult,
 )
 from brdffit.svbrdf import Svbrdf
@@ -32,7 +33,7 @@ def compare(
     *,
     command: str = "",
     listener: Listener | None = None,
-) -> tuple[Comparison, PictureFiles]:
+) -> Report:
     """Compare the methods on every set.
 
     Args:
@@ -42,7 +43,7 @@ def compare(
         listener: called with phases and texels.
 
     Returns:
-        The records, and the pictures they name.
+        The records, with the pictures and pages that they name.
 
     Raises:
         InputError: for a set or an environment that cannot be used, or when no method can bake a set.
@@ -54,11 +55,13 @@ def compare(
     methods = list(asked.methods) or method_names()
     results: list[SetResult] = []
     pictures: PictureFiles = {}
+    viewer: dict[str, str] = {}
     for number, source in enumerate(sources):
         name = _free_name(_name(source, number), [result.name for result in results])
         work = SetComparison(name, source, asked_of_each[number], methods, _studio(asked_of_each[number]), listener)
         results.append(work.run())
         pictures.update(work.pictures)
+        viewer.update(work.viewer)
     options: dict[str, Any] = {name: _plain(value) for name, value in asdict(asked.shared).items()}
     comparison = Comparison(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -76,7 +79,7 @@ def compare(
         sets=results,
         seconds=time.perf_counter() - began,
     )  # fmt: skip
-    return comparison, pictures
+    return Report(comparison, pictures, viewer)
 
 
 def _studio(asked: CompareOptions) -> Studio:

@@ -87,9 +87,9 @@ def compare_to_folder(
     check_report_folder(folder)
     command = shlex.join(["brdffit", *sys.argv[1:]])
     with ComparisonDisplay() as display:
-        comparison, pictures = compare(sources, asked, command=command, listener=display)
+        made = compare(sources, asked, command=command, listener=display)
         display.phase("drawing the page")
-        return Written(comparison, write_report(comparison, pictures, folder))
+        return Written(made.comparison, write_report(made.comparison, made.pictures, folder, made.viewer))
 
 
 def redraw(records: Path_, folder: Path_ | None = None) -> Written:
@@ -102,9 +102,10 @@ def redraw(records: Path_, folder: Path_ | None = None) -> Written:
     from brdffit.report.writing import read_report, write_report
 
     path = Path(records)
-    comparison, pictures = read_report(path)
+    read = read_report(path)
     own = path if path.is_dir() else path.parent
-    return Written(comparison, write_report(comparison, pictures, own if folder is None else folder))
+    folder = own if folder is None else folder
+    return Written(read.comparison, write_report(read.comparison, read.pictures, folder, read.viewer))
 
 
 def print_summary(written: Written) -> None:

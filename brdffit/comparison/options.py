@@ -44,6 +44,7 @@ class CompareOptions:
         reading: how a folder is read, see ``read_texture_set``.
         through_probe: engine whose probe lights the views of the environment once more (`brdffit probe --for`), or
             None.
+        viewer: write a page of the viewer for each set, which the report links.
         truth: makes, of a set as it was read, the truth that pictures and pairs of light and viewer are compared with;
             None for the SVBRDF.
     """
@@ -63,6 +64,7 @@ class CompareOptions:
     options: Mapping[str, Any] = field(default_factory=dict)
     reading: Mapping[str, Any] = field(default_factory=dict)
     through_probe: str | None = None
+    viewer: bool = False
     truth: MakeTruth | None = None
 
     @classmethod

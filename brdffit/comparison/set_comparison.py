@@ -37,6 +37,7 @@ from brdffit.report.records import (
     capped,
 )
 from brdffit.svbrdf import Svbrdf, level_sizes
+from brdffit.viewer.page import DRAWN_MODEL, MOST_TEXELS, page_text
 
 #: Levels whose lobes are shown, clamped to those that a set has.
 _LOBE_LEVELS = (1, 3, 5)
@@ -44,6 +45,8 @@ _MEASURE_NODES, _MEASURE_SAMPLES = 1024, (16, 96)
 _NO_LOBES = "It bakes no lobes: half-angle figures, lobes and roughness maps are left out."
 #: Side of the picture on which the texels of the lobes are marked, at most.
 _OVERVIEW = 256
+#: Panels of the viewer between averages and reference: more would be small, and the page large.
+_MOST_PANELS = 3
 
 
 def fit_of(methods: Sequence[str]) -> str:
@@ -61,6 +64,7 @@ class SetComparison:
         self.name, self.asked, self.methods, self.studio, self.listener = name, asked, methods, studio, listener
         self.seconds: dict[str, float] = {}
         self.pictures: PictureFiles = {}
+        self.viewer: dict[str, str] = {}
         self.skipped: list[Skipped] = []
         self.options = asked.shared
         with self._phase("reading"):
@@ -109,13 +113,15 @@ class SetComparison:
             )
             for name, result in baked.items()
         ]  # fmt: skip
+        viewer = self._viewer_page(pyramids, fit) if self.asked.viewer else ""
         read = self.read
         return SetResult(
             name=self.name, size=self.base.size, wrap=self.base.wrap, methods=results, skipped=self.skipped,
             distances=distances_of(self.base.size, len(sizes), self.studio.reach), views=views, lobes=lobes,
             overview=overview, maps_levels=len(sizes),
             seconds={name: round(value, 3) for name, value in self.seconds.items()},
-            inputs={role: path.name for role, path in read.inputs()}, notes=read.notes + self._notes_of_truth(),
+            inputs={role: path.name for role, path in read.inputs()},
+            notes=read.notes + self._notes_of_truth(), viewer=viewer,
         )  # fmt: skip
 
     def _stored(self, seen: Iterable[tuple[View, dict[str, NDArray]]]) -> list[View]:
@@ -243,6 +249,21 @@ class SetComparison:
                     lobe_view(self.base, level, k, place, pixel_filter=self.options.pixel_filter, errors=errors)
                 )
         return views
+
+    def _viewer_page(self, pyramids: Pyramids, fit: str) -> str:
+        """A page of the viewer with the fit and the next methods; returns its path, or "" where it cannot draw them."""
+        names = [name for name, levels in pyramids.items() if levels[0].model == DRAWN_MODEL]
+        names.sort(key=lambda name: name != fit)
+        if not names or self.base.model != DRAWN_MODEL or max(self.base.size) > MOST_TEXELS:
+            return ""
+        with self._phase("page of the viewer"):
+            path = f"viewer/{self.name}.html"
+            shown = names[:_MOST_PANELS]
+            note = "" if self.truth is self.base else "The reference is of the maps, not of the traced height."
+            self.viewer[path] = page_text(
+                self.name, self.base, [(name, pyramids[name]) for name in shown], notes=[note] if note else []
+            )
+        return path
 
     def _overview(self) -> str:
         """The whole set once, by the reference under small lights; returns its path."""

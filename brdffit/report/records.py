@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -141,7 +142,11 @@ class LobeView(Record, kw_only=True):
 
 
 class SetResult(Record, kw_only=True):
-    """One texture set. ``distances``: level of near, mid and far. ``overview``: where the texels of the lobes lie."""
+    """One texture set.
+
+    ``distances``: level of near, mid and far. ``overview``: where the texels of the lobes lie. ``viewer``: page of the
+    viewer, or "".
+    """
 
     name: str
     size: tuple[int, int]
@@ -156,6 +161,7 @@ class SetResult(Record, kw_only=True):
     seconds: dict[str, float]
     inputs: dict[str, str] = {}
     notes: list[str] = []
+    viewer: str = ""
 
 
 class MethodInfo(Record, kw_only=True):
@@ -233,6 +239,25 @@ def picture_names(comparison: Comparison) -> list[str]:
             names[view.reference] = None
             names.update((shot.picture, None) for shot in view.shots)
     return list(names)
+
+
+def viewer_pages(comparison: Comparison) -> list[str]:
+    """Every page of the viewer that the records name."""
+    return [each.viewer for each in comparison.sets if each.viewer]
+
+
+class Report(NamedTuple):
+    """What a report folder holds besides the page, which is drawn from it.
+
+    Attributes:
+        comparison: the records.
+        pictures: (h, w) or (h, w, 3) uint8 by the paths that the records name.
+        viewer: text of the viewer's pages by the paths that the records name.
+    """
+
+    comparison: Comparison
+    pictures: Mapping[str, NDArray]
+    viewer: Mapping[str, str]
 
 
 def foreign_file(folder: Path) -> str | None:

@@ -14,7 +14,17 @@ from brdffit.errors import InputError
 from brdffit.files.atomic import check_writable, replacing
 from brdffit.files.image_io import read_image, write_png
 from brdffit.report.page import render_page
-from brdffit.report.records import PAGE, RECORDS, Comparison, foreign_file, picture_names, read_records, to_json
+from brdffit.report.records import (
+    PAGE,
+    RECORDS,
+    Comparison,
+    Report,
+    foreign_file,
+    picture_names,
+    read_records,
+    to_json,
+    viewer_pages,
+)
 
 
 def check_report_folder(folder: str | os.PathLike[str]) -> None:
@@ -26,27 +36,41 @@ def check_report_folder(folder: str | os.PathLike[str]) -> None:
     check_writable(Path(folder), foreign_file)
 
 
-def write_report(comparison: Comparison, pictures: Mapping[str, NDArray], folder: str | os.PathLike[str]) -> Path:
-    """Write records, pictures and page; what was there before stays until all is done. Returns the page's path.
+def write_report(
+    comparison: Comparison,
+    pictures: Mapping[str, NDArray],
+    folder: str | os.PathLike[str],
+    viewer: Mapping[str, str] | None = None,
+) -> Path:
+    """Write records, pictures and pages; what was there before stays until all is done. Returns the page's path.
+
+    Args:
+        comparison, pictures, viewer: see ``Report``.
+        folder: of the report.
 
     Raises:
         OutputError: when it cannot be written.
     """
     names = picture_names(comparison)
-    comparison = msgspec.structs.replace(comparison, files=sorted([PAGE, *names]))
+    pages = viewer or {}
+    comparison = msgspec.structs.replace(comparison, files=sorted([PAGE, *names, *pages]))
     with replacing(Path(folder), foreign_file) as fresh:
         for name in names:
             path = fresh / name
             path.parent.mkdir(parents=True, exist_ok=True)
             write_png(path, pictures[name])
+        for name, text in pages.items():
+            path = fresh / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
         # Records before the page: the page can be drawn again from them.
         (fresh / RECORDS).write_bytes(to_json(comparison))
         (fresh / PAGE).write_text(render_page(comparison, pictures), encoding="utf-8")
     return Path(folder) / PAGE
 
 
-def read_report(records: str | os.PathLike[str]) -> tuple[Comparison, dict[str, NDArray]]:
-    """Records and their pictures from the disk; ``records`` is the JSON file or its folder.
+def read_report(records: str | os.PathLike[str]) -> Report:
+    """Records with their pictures and pages from the disk; ``records`` is the JSON file or its folder.
 
     Raises:
         InputError: when a file is missing, or is not of a comparison.
@@ -56,8 +80,19 @@ def read_report(records: str | os.PathLike[str]) -> tuple[Comparison, dict[str, 
     comparison = read_records(path)
     pictures = {}
     for name in picture_names(comparison):
-        if Path(name).is_absolute() or ".." in Path(name).parts:
-            raise InputError(f"'{path}' names the picture '{name}', expected one beside it.")
-        pixels = np.round(255.0 * read_image(path.parent / name).pixels).astype(np.uint8)
+        pixels = np.round(255.0 * read_image(_beside(path, name)).pixels).astype(np.uint8)
         pictures[name] = pixels[..., 0] if pixels.shape[2] == 1 else pixels[..., :3]
-    return comparison, pictures
+    viewer = {}
+    for name in viewer_pages(comparison):
+        try:
+            viewer[name] = _beside(path, name).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"'{path}' names the page '{name}', which cannot be read: {error}.") from error
+    return Report(comparison, pictures, viewer)
+
+
+def _beside(records: Path, name: str) -> Path:
+    """Path of a file that records name."""
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise InputError(f"'{records}' names the file '{name}', expected one beside it.")
+    return records.parent / name

@@ -64,4 +64,5 @@ def pack_environment(pixels: NDArray) -> dict[str, Any]:
 
 
 def _text(data: bytes) -> str:
-    return base64.b64encode(zlib.compress(data, 9)).decode("ascii")
+    # Level 9 takes ten times as long for 4% less.
+    return base64.b64encode(zlib.compress(data, 6)).decode("ascii")
