@@ -14,7 +14,7 @@ from report_support import PICTURE_SNR, comparison
 
 from brdffit.errors import InputError, OutputError
 from brdffit.files.image_io import write_png
-from brdffit.report import histograms, page, plots, records, summary
+from brdffit.report import histograms, page, plots, records, side_by_side, summary
 from brdffit.report.writing import check_report_folder, read_report, write_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -141,6 +141,27 @@ def test_each_learned_method_has_a_histogram_of_its_own(made):
     )
     both = histograms.all_histograms(msgspec.structs.replace(made[0], methods=infos, sets=sets))
     assert len(both) == 2 and "bfgs less latent" in both[0] and "latent less bfgs" in both[1]
+
+
+def test_methods_side_by_side_from_the_simplest_to_the_fit(made):
+    whole, pictures = made
+    result = whole.sets[0]
+    assert side_by_side.ordered(whole, result) == ["naive", "height", "bfgs"]
+    drawn = dict(side_by_side.all_side_by_side(whole, result, pictures))
+    assert list(drawn) == ["small lights", "environment"]
+    sheet, step = drawn["small lights"], side_by_side.CELL + 24
+    # The last cell is the reference from afar, its 8x8 pixels enlarged 22 times.
+    far = pictures[summary.view_of(result, "small lights", "far").reference]
+    top, left = sheet.shape[0] - step, sheet.shape[1] - side_by_side.CELL - 6
+    cell = sheet[top : top + side_by_side.CELL, left : left + side_by_side.CELL]
+    np.testing.assert_array_equal(cell[11::22, 11::22], far)
+    views = [view for view in result.views if view.distance != "mid"]
+    assert side_by_side.all_side_by_side(whole, msgspec.structs.replace(result, views=views), pictures) == []
+
+
+def test_a_cell_is_the_middle_of_a_larger_picture():
+    picture = np.arange(200 * 300 * 3, dtype=np.uint32).astype(np.uint8).reshape(200, 300, 3)
+    np.testing.assert_array_equal(side_by_side.cropped(picture, 100), picture[50:150, 100:200])
 
 
 class References(HTMLParser):

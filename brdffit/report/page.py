@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from brdffit.report import plots
 from brdffit.report.histograms import all_histograms
 from brdffit.report.records import KEPT_SUFFIX, MOST_ANISOTROPY, MOST_DB, Comparison, SetResult, Shot, View
+from brdffit.report.side_by_side import all_side_by_side
 from brdffit.report.summary import (
     DISTANCES,
     fit_name,
@@ -55,7 +56,10 @@ def render_page(comparison: Comparison, pictures: Mapping[str, NDArray]) -> str:
         summaries={info.name: info.summary for info in comparison.methods},
         histograms=all_histograms(comparison),
         times=plots.time_and_gain(rows, colours, fit),
-        sets=[_set(result, colours, fit) for result in comparison.sets],
+        sets=[
+            {**_set(result, colours, fit), "side_by_side": _side_by_side(comparison, result, pictures)}
+            for result in comparison.sets
+        ],
         most_anisotropy=MOST_ANISOTROPY,
         data=_script_json(_data(comparison, pictures, colours, fit)),
     )
@@ -104,6 +108,12 @@ def _set(result: SetResult, colours: Mapping[str, str], fit: str) -> dict[str, A
         "best": {view.key: _best_shots(view) for view in result.views},
         "best_levels": [_best_of_level(result, k) for k in range(result.maps_levels)],
     }
+
+
+def _side_by_side(comparison: Comparison, result: SetResult, pictures: Mapping[str, NDArray]) -> list[tuple[str, str]]:
+    """(lighting, data URL) of the set's methods side by side."""
+    made = all_side_by_side(comparison, result, pictures)
+    return [(lighting, plots.data_address(picture)) for lighting, picture in made]
 
 
 def _kept_rows(result: SetResult, fit: str) -> list[tuple[View, Shot, Shot]]:
