@@ -166,6 +166,8 @@ def diagnose(
             f"{width}x{height} is no power of two: footprints of some levels overlap their neighbours by parts of a "
             f"texel, which is filtered as it stands; block compression and some engines want powers of two."
         )
+    # Colours weighted by opacity, as a bake has them.
+    svbrdf = svbrdf.weighted()
     base = base_of(svbrdf, get_model(svbrdf.model).default_shape)
     tell("compiling")
     get_method(DEFAULT).prepare(read.material, asked)

@@ -29,6 +29,17 @@ def test_a_quiet_set_has_no_hard_case():
     assert [each.level for each in diagnosis.levels] == [0, 1, 2, 3, 4, 5]
 
 
+def test_what_lies_where_nothing_is_does_not_count():
+    opacity = np.ones(SIZE, np.float32)
+    opacity[:, 16:] = 0.0
+    one = surface(SIZE, spread=0.05, alpha=0.3, colour=(0.5, 0.5, 0.5)).replace(opacity=opacity, wrap="clamp")
+    other = one.replace(**{name: getattr(one, name).copy() for name in ("normal", "log_roughness", "specular")})
+    other.specular[:, 20:], other.log_roughness[:, 20:, :2] = 1.0, 2.0 * np.log(0.02)
+    last = [diagnose(each, quality="draft").levels[-1].treatment.measured_db for each in (one, other)]
+    # Without weights the mirrors of the other half take 20 dB; with them the nodes differ a little.
+    assert last[0] > 30.0 and last[1] == pytest.approx(last[0], abs=2.0)
+
+
 def place(base, case):
     """Put one hard case into the block at row 8, column 16."""
     block = np.s_[8:16, 16:24]

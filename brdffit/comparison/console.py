@@ -208,13 +208,14 @@ def draw_landscape(
         OutputError: when the picture cannot be written.
     """
     from brdffit.landscape import landscape
-    from brdffit.report.plots import save_landscape
+    from brdffit.report.plots import check_picture, save_landscape
     from brdffit.textures.conversion import to_svbrdf
     from brdffit.textures.reading import read_texture_set
 
+    check_picture(output)
     began = time.perf_counter()
     texture_set = read_texture_set(source, **reading)
-    found = landscape(to_svbrdf(texture_set), level, texel, model=model)
+    found = landscape(to_svbrdf(texture_set).weighted(), level, texel, model=model)
     title = f"{texture_set.name}, level {level}, texel {texel[0]},{texel[1]}: log(1 + error)"
     save_landscape(found, title, output)
     first, last = (_decibels(-10.0 * _log10(value)) for value in (found.values[0], found.values[-1]))

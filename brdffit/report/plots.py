@@ -115,6 +115,14 @@ def landscape_figure(landscape: Any, title: str) -> Any:
         return figure
 
 
+def check_picture(path: Path) -> str:
+    """The kind of a picture's file, "svg" or "png"; OutputError for any other."""
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("svg", "png"):
+        raise OutputError(f"'{path}' ends in '{path.suffix}', expected a picture that ends in .svg or .png.")
+    return kind
+
+
 def save_landscape(landscape: Any, title: str, path: str | os.PathLike[str]) -> None:
     """Write ``landscape_figure`` as .svg or .png, in full or not at all.
 
@@ -122,9 +130,7 @@ def save_landscape(landscape: Any, title: str, path: str | os.PathLike[str]) -> 
         OutputError: for another suffix, or when the file cannot be written.
     """
     path = Path(path)
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in ("svg", "png"):
-        raise OutputError(f"'{path}' ends in '{path.suffix}', expected a picture that ends in .svg or .png.")
+    kind = check_picture(path)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
