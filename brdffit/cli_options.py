@@ -58,12 +58,13 @@ def known(kind: str) -> Callable[[click.Context, click.Parameter, str | None], s
 
     def check(ctx: click.Context, parameter: click.Parameter, name: str | None) -> str | None:
         from brdffit.export.presets import preset_names
-        from brdffit.methods import method_names, one_of
+        from brdffit.methods import BY_NAME, method_names, one_of
         from brdffit.models import model_names
 
         own_class = kind == "method" and ":" in (name or "")
         if name is not None and not own_class:
-            one_of(kind, name, {"method": method_names, "model": model_names, "preset": preset_names}[kind]())
+            names = {"method": method_names, "model": model_names, "preset": preset_names}[kind]()
+            one_of(kind, name, [*names, *BY_NAME] if kind == "method" else names)
         return name
 
     return check

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.errors import OutputError, UnknownNameError
+from brdffit.errors import InputError, OutputError, UnknownNameError
 from brdffit.options import BakeOptions, LobeOptions
 from brdffit.roughness import tensor_from_log
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -294,15 +294,20 @@ def get_method(name: str) -> Method:
     """The method of this name, or of ``module:object``.
 
     Raises:
+        InputError: when the module cannot be imported, or the object is no class of a method.
         UnknownNameError: with the nearest known name.
     """
     name = BY_NAME.get(name, name)
     if ":" in name:
         module, _, attribute = name.partition(":")
         try:
-            return getattr(importlib.import_module(module), attribute)()
+            found = getattr(importlib.import_module(module), attribute)
         except (ImportError, AttributeError) as error:
-            raise UnknownNameError("method", name, [*method_names(), *BY_NAME]) from error
+            raise InputError(f"The method '{name}' cannot be loaded: {str(error).rstrip('.')}.") from error
+        made = found() if isinstance(found, type) else found
+        if not isinstance(made, Method):
+            raise InputError(f"'{name}' is no method, expected a class that follows brdffit.methods.Method.")
+        return made
     if name in _installed():
         return _installed()[name].load()()
     raise UnknownNameError("method", name, [*method_names(), *BY_NAME])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
-from brdffit.errors import UnknownNameError
+from brdffit.errors import InputError, UnknownNameError
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 
 _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
@@ -53,7 +54,7 @@ class Limits(NamedTuple):
 
 def option(
     default: Any, says: str, *, names: Sequence[str] | Callable[[], Sequence[str]] = (), least: float | None = None,
-    most: float | None = None, above: float | None = None,
+    most: float | None = None, above: float | None = None, check: Callable[[Any], object] | None = None,
 ) -> Any:  # fmt: skip
     """A field of an options type.
 
@@ -62,8 +63,9 @@ def option(
         says: one line for the user.
         names: values of an option that is one of several names, or a function that lists them.
         least, most, above: limits of a number.
+        check: raises an InputError for a value that cannot be.
     """
-    metadata = {"says": says, "names": names, "limits": Limits(least, most, above)}
+    metadata = {"says": says, "names": names, "limits": Limits(least, most, above), "check": check}
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -118,6 +120,7 @@ class Described(NamedTuple):
         names: its values, where it is one of several names.
         limits: of a number.
         says: one line for the user.
+        check: raises an InputError for a value that cannot be; None where all can.
     """
 
     name: str
@@ -127,6 +130,7 @@ class Described(NamedTuple):
     names: tuple[str, ...]
     limits: Limits
     says: str
+    check: Callable[[Any], object] | None = None
 
     @property
     def values(self) -> str:
@@ -156,6 +160,7 @@ def _described(kind: Any) -> dict[str, Described]:
         found[field.name] = Described(
             field.name, f"{group}.{field.name}" if group else field.name, hints[field.name], field.default,
             tuple(names() if callable(names) else names), said.get("limits", Limits()), said.get("says", ""),
+            said.get("check"),
         )  # fmt: skip
     return found
 
@@ -290,8 +295,13 @@ def _checked(each: Described, value: Any) -> Any:
         hint = f"did you mean '{near[0]}'? " if near else ""
         raise OptionError(f"Option '{each.full_name}' cannot be '{value}': {hint}known are {', '.join(each.names)}.")
     number = isinstance(found, (int, float)) and not isinstance(found, bool)
-    if found is None or (number and not each.limits.admit(found)):
+    if found is None or (number and not (math.isfinite(found) and each.limits.admit(found))):
         raise OptionError(f"Option '{each.full_name}' is '{value}', expected {_expected(each)}.")
+    if each.check is not None:
+        try:
+            each.check(found)
+        except InputError as error:
+            raise OptionError(f"Option '{each.full_name}': {error}") from error
     return found
 
 

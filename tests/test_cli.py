@@ -163,6 +163,22 @@ def test_a_name_that_turns_out_unknown_exits_with_2(run, baked):
     assert baked.arguments["method"] == "no.module:Nothing"
 
 
+@pytest.mark.parametrize(
+    ("method", "sentence"),
+    [("no.module:Nothing", "cannot be loaded: No module named 'no'"), ("json:loads", "is no method"),
+     ("json:JSONDecoder", "is no method"), ("json:Nothing", "has no attribute 'Nothing'")],
+)  # fmt: skip
+def test_what_is_no_method_is_told(method, sentence):
+    with pytest.raises(InputError, match=sentence):
+        get_method(method)
+
+
+def test_a_method_that_runs_only_when_named_is_known(run, baked):
+    assert run("bake", "set", "--method", "neural").exit_code == 0
+    assert baked.arguments["method"] == "neural" and "neural" not in run("methods", "--plain").stdout
+    assert "neural.file" in run("methods", "neural", "--plain").stdout
+
+
 def test_an_interrupt_exits_with_130(run, baked):
     baked.error = KeyboardInterrupt()
     result = run("bake", "set")

@@ -14,6 +14,12 @@ SPECULARS = ("auto", "bounded", "free", "held")
 COLOURS = ("channels", "shared")
 
 
+def _check_lights(lights: str) -> None:
+    from brdffit.halfangle.lights import sizes_of  # numba
+
+    sizes_of(lights, 1.0, 1.0)
+
+
 @dataclass(frozen=True)
 class FitOptions(LobeOptions):
     """Options of the nonlinear fit. ``brdffit plan`` chooses ``lights``, ``reach`` and the effects for a scene."""
@@ -25,8 +31,9 @@ class FitOptions(LobeOptions):
         None, "instead of a quality: dB that a level's SNR may stay below the best lobe's", above=0.0
     )
     lights: str = option(
-        "mixed", "lights to look right under: point, sun, lamp, window, sky, mixed, or radii in degrees (2,10:0.5)"
-    )
+        "mixed", "lights to look right under: point, sun, lamp, window, sky, mixed, or radii in degrees (2,10:0.5)",
+        check=_check_lights,
+    )  # fmt: skip
     loss: str = option(
         "auto", "displayed: the error on a screen; l2 follows peaks, relative and l1 tails, seen between",
         names=LOSSES,
