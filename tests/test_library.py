@@ -183,6 +183,8 @@ def test_force_only_and_shards(made):
     root, output, _ = made
     assert set(reasons(root, output, force=True).values()) == {"forced"}
     assert list(reasons(root, output, force=True, only=["deep/*", "nothing"])) == ["deep/set0", "deep/set2"]
+    with pytest.raises(InputError, match="has a place that matches nothing; places are like 'deep/set0'"):
+        reasons(root, output, only=["nothing"])
     for parts in (1, 2, 3, 7):
         shards = [list(reasons(root, output, force=True, shard=(part + 1, parts))) for part in range(parts)]
         assert sorted(key for shard in shards for key in shard) == ["deep/set0", "deep/set2", "set1", "set3"]

@@ -21,6 +21,7 @@ from brdffit.assessment import assess
 from brdffit.errors import BrdffitError, InputError
 from brdffit.files.image_io import file_sha256
 from brdffit.library import store
+from brdffit.library.discovery import material_file
 from brdffit.library.grouping import named_group
 from brdffit.library.state import build_request, code_digest, input_files
 from brdffit.library.task import Outcome, Task
@@ -87,7 +88,7 @@ def open_set(task: Task) -> TextureSet:
     """
     found, reading = task.found, dict(task.reading)
     if found.files is None:
-        reading["material"] = found.material or reading.get("material")
+        reading["material"] = found.material or (reading.get("material") if material_file(found) else None)
         texture_set = read_texture_set(found.source, **reading)
         texture_set.name = found.name
         return texture_set

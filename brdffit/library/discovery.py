@@ -17,7 +17,7 @@ from brdffit.export.manifest import FILE_NAME as MANIFEST
 from brdffit.files.image_io import IMAGE_SUFFIXES
 from brdffit.library.grouping import groups_of, named_with_alpha
 from brdffit.library.task import Found
-from brdffit.textures.reading import SUFFIXES, material_names, read_material
+from brdffit.textures.reading import SUFFIXES, file_names, material_names, read_material
 
 
 def find_sets(
@@ -95,7 +95,7 @@ def _beside_owner(place: str, owners: list[str]) -> str:
 
 def _sets_of(folder: Path, place: str, root: Path) -> list[Found]:
     """The sets of one folder."""
-    names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file() and not entry.name.startswith("."))
+    names = file_names(folder)
     images = [name for name in names if name.lower().endswith(IMAGE_SUFFIXES)]
     scenes = [name for name in names if name.lower().endswith(SUFFIXES)]
     whole = place or root.resolve().name

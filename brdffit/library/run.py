@@ -130,6 +130,11 @@ def run_library(
             store.sweep()
         tasks = _tasks(Path(root), address, settings, options)
         chosen = [key for key in tasks if not only or any(fnmatchcase(key, pattern) for pattern in only)]
+        if not chosen:
+            raise InputError(
+                f"None of the {len(tasks)} sets of '{root}' has a place that matches {', '.join(only)}; places are "
+                f"like '{next(iter(tasks))}'."
+            )
         if shard is not None:
             chosen = chosen[shard[0] - 1 :: shard[1]]
         plan = _plan(tasks, chosen, store, force)

@@ -235,7 +235,8 @@ def checked(options: ProbeOptions) -> tuple[ProbePreset, Curve, Mapping[int, NDA
         raise InputError(f"A probe of {size} texels a face was asked for, expected a power of two, 16 to {_LARGEST}.")
     levels = preset.levels if options.levels is None else options.levels
     if not 2 <= levels <= size.bit_length():
-        raise InputError(f"{levels} levels were asked for, expected 2 to {size.bit_length()} for {size} texels a face.")
+        asked = "were asked for" if options.levels else f"are those of the preset '{preset.name}'"
+        raise InputError(f"{levels} levels {asked}, expected 2 to {size.bit_length()} for {size} texels a face.")
     texel_format = options.texel_format or preset.texel_format
     if preset.container == "exr" and options.texel_format:
         raise InputError(f"The preset '{preset.name}' writes EXR files of floats, found the format '{texel_format}'.")

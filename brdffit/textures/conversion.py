@@ -198,9 +198,17 @@ def _colour(texture_set: TextureSet, role: str) -> NDArray | None:
     if named is None:
         return None
     pixels, _ = named.read()
+    if named.channel:
+        pixels = named.quantity(pixels)[0][:, :, None]
     pixels = np.repeat(pixels[:, :, :1], 3, axis=2) if pixels.shape[2] < 3 else pixels[:, :, :3]
     is_linear = named.encoding == "linear" or (named.encoding == "" and named.info.is_float)
     linear = np.maximum(pixels, 0.0) if is_linear else decode_srgb(pixels)
+    most = float(linear.max())
+    if most > 1.0:
+        texture_set.note(
+            f"'{named.path.name}' reaches {most:.3g} as {role}, expected at most 1, all the light that falls on it: it "
+            f"is read as it is."
+        )
     return _enlarge(texture_set, linear)
 
 

@@ -104,11 +104,13 @@ def _evidence(texture_set: TextureSet) -> list[str]:
         return []
     says = {"gl": "OpenGL", "dx": "DirectX"}
     weighed = ", ".join(
-        f"{each.source} {says[each.normal_y]} {each.strength:.2f}" for each in measured_evidence(texture_set)
+        f"{each.source} for {says[each.normal_y]} {each.strength:.2f}"
+        for each in measured_evidence(texture_set)
+        if each.strength > 0.0
     )
     return [
-        f"The normal's Y is read as {says[texture_set.normal_y]}, by: {texture_set.normal_y_source}. Measured, of 1: "
-        f"{weighed or 'nothing'}."
+        f"The normal's Y is read as {says[texture_set.normal_y]}; this is known from: {texture_set.normal_y_source}. "
+        f"Correlations: {weighed or 'none could be measured'}."
     ]
 
 

@@ -31,8 +31,9 @@ def read_material(path: Path, material: str | None = None) -> TextureSet:
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
+        folder = f"; give its folder, '{path.parent}'" if suffix in IMAGE_SUFFIXES else ""
         raise InputError(
-            f"'{path}' is a file of another kind, expected a folder of textures or a .gltf, .glb or .mtlx file."
+            f"'{path}' is a file of another kind, expected a folder of textures or a .gltf, .glb or .mtlx file{folder}."
         )
     try:
         data = path.read_bytes()
@@ -156,16 +157,28 @@ def _find_maps(path: Path, roles: dict[str, str], material: str | None) -> Textu
     if path.is_file():
         texture_set = read_material(path, material)
         texture_set.maps |= explicit_roles(path.parent, roles)
+        if "normal" in roles:
+            normal_y_from_names(texture_set)
         return texture_set
     try:
-        names = sorted(entry.name for entry in os.scandir(path) if entry.is_file() and entry.name[0] != ".")
+        names = file_names(path)
+        folders = sorted(each.name for each in path.iterdir() if each.is_dir() and each.name[0] != ".")
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
     images = [name for name in names if name.lower().endswith(IMAGE_SUFFIXES)]
     scenes = [name for name in names if name.lower().endswith(SUFFIXES)]
     if not images and not scenes and not roles:
+        if folders and not names:
+            raise InputError(
+                f"'{path}' holds folders alone ({', '.join(folders[:3])}), expected a folder of textures; "
+                f"`brdffit library` bakes all sets below a folder."
+            )
         what = f"{len(names)} files, none of them an image" if names else "nothing"
         raise InputError(f"'{path}' holds {what}, expected a folder of textures such as Name_NormalGL.png.")
+    if material is not None and not scenes:
+        raise InputError(
+            f"'{path}' has no .gltf, .glb or .mtlx file, expected one that holds the material '{material}'."
+        )
     explicit = explicit_roles(path, roles)
     unread = [name for name in names if name.lower().endswith(UNREAD_SUFFIXES)]
     bad = [name for name in images if not _is_utf8(name)]
@@ -214,6 +227,11 @@ def _by_file(path: Path, scenes: list[str], named: NamedSet, material: str | Non
     return texture_set, f"Maps and factors are those of '{scene}'." if has_surface else ""
 
 
+def file_names(folder: Path) -> list[str]:
+    """Names of the files of a folder, sorted, without hidden ones and links that lead nowhere (OSError)."""
+    return sorted(each.name for each in folder.iterdir() if each.name[0] != "." and each.is_file())
+
+
 def set_of_names(path: Path, named: NamedSet, explicit: dict[str, Map]) -> TextureSet:
     """The set of a folder by the names of its files; InputError where they are of several materials."""
     for role, files in named.rivals.items():
@@ -249,12 +267,19 @@ def _is_utf8(name: str) -> bool:
 
 
 def explicit_roles(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
-    """Maps of roles given as FILE or FILE:CHANNEL; a packing gives several. UnknownNameError for an unknown role."""
+    """Maps of roles given as FILE or FILE:CHANNEL; a packing gives several.
+
+    Raises:
+        InputError: for one channel of a normal map.
+        UnknownNameError: for an unknown role.
+    """
     maps: dict[str, Map] = {}
     for role, text in roles.items():
         file, _, channel = text.rpartition(":")
         if not file or channel.upper() not in ("R", "G", "B", "A"):
             file, channel = text, ""
+        elif role == "normal":
+            raise InputError(f"'{text}' is one channel, expected a whole picture as the normal map.")
         path = folder / file
         packed = packed_roles(role)
         if role in ROLES:
@@ -268,13 +293,17 @@ def explicit_roles(folder: Path, roles: dict[str, str]) -> dict[str, Map]:
     return maps
 
 
-def normal_y_from_names(texture_set: TextureSet, named: NamedSet) -> None:
+def normal_y_from_names(texture_set: TextureSet, named: NamedSet | None = None) -> None:
     """Take the normal's Y from the file's name, or from the naming convention of the whole set."""
-    normal = named.maps.get("normal")
-    if normal is None or "normal" not in texture_set.maps or normal.file != texture_set.maps["normal"].path.name:
+    if "normal" not in texture_set.maps:
         return
-    if normal.normal_y:
-        texture_set.normal_y, texture_set.normal_y_source = normal.normal_y, "name"
+    file = texture_set.maps["normal"].path.name
+    if named is None or "normal" not in named.maps or named.maps["normal"].file != file:
+        named = roles_from_names([file])  # it was given another role, or lies elsewhere
+    texture_set.normal_y, texture_set.normal_y_source = "gl", "assumed"
+    said = named.maps["normal"].normal_y if "normal" in named.maps else ""
+    if said:
+        texture_set.normal_y, texture_set.normal_y_source = said, "name"
     elif old_cc0textures(named):
         texture_set.normal_y, texture_set.normal_y_source = "dx", "convention"
 

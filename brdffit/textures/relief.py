@@ -20,6 +20,8 @@ from brdffit.textures.texture_set import Map, TextureSet
 DEFAULT_HEIGHT_SHARE = 0.02
 #: Correlation from which the curl of a normal map is reported as contradicting its name.
 _CONTRADICTS = 0.5
+#: Sources of the normal's Y that measure nothing, as a sentence has them.
+_SAID_BY = {"name": "as its name says", "convention": "as the names of its set say", "given": "as asked"}
 #: The mean of a normal map's red and green where 0.5 was decoded from sRGB, or encoded to it.
 _SRGB_MEANS = {"decoded as": 0.2140, "encoded as": 0.7354}
 
@@ -92,12 +94,12 @@ def normal_and_height(texture_set: TextureSet, unread: Collection[str]) -> tuple
     named = maps.get("height")
     height = None if named is None else texture_set.quantity(named)
     vectors = decode_normals(texture_set) if "normal" in maps else None
-    if vectors is not None and texture_set.normal_y_source in ("name", "convention", "given"):
+    if vectors is not None and texture_set.normal_y_source in _SAID_BY:
         against = contradiction(vectors)
         if against >= _CONTRADICTS:
             read = {"gl": "OpenGL (+Y)", "dx": "DirectX (-Y)"}[texture_set.normal_y]
             texture_set.note(
-                f"'{maps['normal'].path.name}' is read as {read}, as its {texture_set.normal_y_source} says, but its "
+                f"'{maps['normal'].path.name}' is read as {read}, {_SAID_BY[texture_set.normal_y_source]}, but its "
                 f"slopes' curl speaks against it (correlation {against:.2f}): check normal-y."
             )
     if height is not None and vectors is not None and vectors.shape[:2] == height.shape:

@@ -78,6 +78,6 @@ def test_what_looks_wrong_is_said(make_folder, case: str) -> None:
 
 def test_the_evidence_for_the_normals_y_is_shown(make_folder) -> None:
     files = {"a_NormalDX__png": encoded(NORMAL), "a_Height__png": (GREY, "uint16")}
-    (sentence,) = [note for note in inspect_set(read_texture_set(make_folder(**files))).notes if "Measured" in note]
-    assert sentence.startswith("The normal's Y is read as DirectX, by: name. Measured, of 1: height OpenGL ")
-    assert "slopes OpenGL 0.9" in sentence
+    (sentence,) = [note for note in inspect_set(read_texture_set(make_folder(**files))).notes if "Correlations" in note]
+    assert sentence.startswith("The normal's Y is read as DirectX; this is known from: name. Correlations: height for ")
+    assert "slopes for OpenGL 0.9" in sentence

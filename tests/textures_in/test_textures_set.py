@@ -85,6 +85,30 @@ def test_what_is_measured_outweighs_a_guess_by_names(make_folder) -> None:
     assert "convention speaks for DirectX (-Y) with 0.50" in note
 
 
+def test_the_name_of_a_normal_map_that_is_given_tells_its_y(make_folder) -> None:
+    folder = make_folder(a_NormalGL__png=encoded(NORMAL), other_NormalDX__png=encoded(NORMAL, "dx"))
+    texture_set, svbrdf = read(folder, roles={"normal": "other_NormalDX.png"})
+    assert (texture_set.normal_y, texture_set.normal_y_source) == ("dx", "name")
+    np.testing.assert_allclose(svbrdf.normal, NORMAL, atol=EIGHT_BITS)
+    with pytest.raises(InputError, match="is one channel, expected a whole picture"):
+        read_texture_set(folder, roles={"normal": "a_NormalGL.png:R"})
+
+
+def test_one_channel_of_a_picture_is_a_grey_colour(make_folder) -> None:
+    colour = np.random.default_rng(0).random((48, 64, 3))
+    folder = make_folder(a_NormalGL__png=encoded(NORMAL), a_Color__exr=(colour, "float"))
+    _, svbrdf = read(folder, roles={"base_color": "a_Color.exr:G"})
+    np.testing.assert_allclose(svbrdf.diffuse, np.repeat(colour[..., 1:2], 3, axis=2), atol=1e-6)
+
+
+def test_a_colour_above_one_is_told(make_folder) -> None:
+    colour = np.full((48, 64, 3), 0.5)
+    colour[3, 5] = 3.0
+    texture_set, svbrdf = read(make_folder(a_NormalGL__png=encoded(NORMAL), a_Color__exr=(colour, "float")))
+    assert svbrdf.diffuse.max() == 3.0
+    assert any("reaches 3 as base_color, expected at most 1" in note for note in texture_set.notes)
+
+
 def test_a_name_that_its_slopes_contradict_is_said_where_it_is_baked(make_folder) -> None:
     texture_set, _ = read(make_folder(a_NormalGL__png=(encoded(NORMAL, "dx"), "uint16")))
     assert texture_set.normal_y == "gl"
@@ -411,6 +435,29 @@ def test_a_folder_without_images_is_told(tmp_path: Path) -> None:
     (tmp_path / "readme.txt").write_text("no images")
     with pytest.raises(InputError, match="holds 1 files, none of them an image"):
         read_texture_set(tmp_path)
+
+
+def test_a_folder_of_folders_is_told_what_bakes_it(tmp_path: Path) -> None:
+    (tmp_path / "oak").mkdir()
+    with pytest.raises(InputError, match="holds folders alone \\(oak\\).*`brdffit library`"):
+        read_texture_set(tmp_path)
+
+
+def test_a_link_that_leads_nowhere_is_no_file(make_folder) -> None:
+    folder = make_folder(a_NormalGL__png=encoded(NORMAL))
+    (folder / "a_Roughness.png").symlink_to("a_Roughness.png")
+    assert set(read_texture_set(folder).maps) == {"normal"}
+
+
+def test_a_single_map_is_told_its_folder(make_folder) -> None:
+    folder = make_folder(a_NormalGL__png=encoded(NORMAL))
+    with pytest.raises(InputError, match=f"give its folder, '{folder}'"):
+        read_texture_set(folder / "a_NormalGL.png")
+
+
+def test_a_material_needs_a_file_that_holds_it(make_folder) -> None:
+    with pytest.raises(InputError, match=r"expected one that holds the material 'Oak'"):
+        read_texture_set(make_folder(a_NormalGL__png=encoded(NORMAL)), material="Oak")
 
 
 def test_a_file_of_another_kind_is_told(tmp_path: Path) -> None:
