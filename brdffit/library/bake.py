@@ -28,7 +28,8 @@ from brdffit.library.task import Outcome, Task
 from brdffit.library.thumbnail import make_thumbnail
 from brdffit.methods import Material, Method, get_method, with_options
 from brdffit.svbrdf import Svbrdf
-from brdffit.textures.reading import explicit_roles, read_texture_set, set_of_names, settle
+from brdffit.textures.reading import explicit_roles, read_texture_set, set_of_names
+from brdffit.textures.settling import settle
 from brdffit.textures.texture_set import TextureSet
 
 

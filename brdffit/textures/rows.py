@@ -21,9 +21,10 @@ from brdffit.svbrdf import Svbrdf
 from brdffit.textures import encoding
 from brdffit.textures.conversion import to_svbrdf
 from brdffit.textures.noise_floor import CodeNoise, code_noise
-from brdffit.textures.reading import explicit_roles, read_texture_set, settle
+from brdffit.textures.reading import explicit_roles, read_texture_set
 from brdffit.textures.relief import height_scale
 from brdffit.textures.resampled_rows import ResampledRows, read_at
+from brdffit.textures.settling import settle
 from brdffit.textures.texture_set import Map, TextureSet
 
 #: Roles that are read in rows; the normals are those of the height.

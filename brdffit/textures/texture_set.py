@@ -119,7 +119,7 @@ class TextureSet:
         maps: one ``Map`` a role.
         normal_y: "gl" (+Y up in the picture) or "dx" (+Y down).
         normal_y_source: how ``normal_y`` is known: "given", "name", "convention", "height", "slopes" or "assumed".
-        wrap: "tile" or "clamp"; before ``reading.settle`` it may be another mode of a material file.
+        wrap: "tile" or "clamp"; before ``settling.settle`` it may be another mode of a material file.
         alpha_cutoff: opacity below which a mask is cut out; None where opacity is blended, or there is none.
         height_scale: texels between height values 0 and 1, or None to be derived.
         denoise_normals: whether the normals are read without what their codes cannot tell from flat (``noise_floor``).
