@@ -102,7 +102,8 @@ def print_report(report: BakeReport) -> None:
         )
     console = _console()
     console.print(table)
-    _print_list(console, [*report.notes, *filter(None, [report.manifest["preset"]["note"]])])
+    of_preset = report.manifest["preset"]["note"] if report.baked.lobes is not None else ""
+    _print_list(console, [*report.notes, *filter(None, [of_preset])])
     console.print(", ".join(f"{_PHASES.get(name, name)} {seconds:.1f} s" for name, seconds in report.seconds.items()))
     preview = report.folder / "preview.png"
     console.print(f"{report.folder}" + (f" (see {preview})" if preview.exists() else ""))

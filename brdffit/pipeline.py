@@ -183,6 +183,8 @@ def bake_to_folder(
         if loading is not None and not loading.result():
             warm_up(asked, preview)
     baked = run(read, chosen, asked, phases)
+    if baked.lobes is None and preset != "plain":
+        baked.notes.append(f"Pictures for engines are drawn of lobes alone: there are none for the preset '{preset}'.")
     draw = (lambda: draw_preview(read.material, baked, read.name)) if preview else None
 
     def write(

@@ -194,11 +194,18 @@ def test_sets_of_one_name_are_told_apart():
 
 
 def test_a_picture_that_is_no_environment_is_told(tmp_path):
+    for name, size, told in (("square", (8, 8), "is 8x8, expected a lat-long"), ("strip", (4, 24), "is a strip, ")):
+        write_png(tmp_path / f"{name}.png", np.full(size, 128, np.uint8))
+        with pytest.raises(InputError, match=told):
+            read_environment(str(tmp_path / f"{name}.png"))
+
+
+def test_pictures_of_eight_bits_light_a_scene_linearly(tmp_path):
     write_png(tmp_path / "grey.png", np.full((4, 8), 128, np.uint8))
-    with pytest.raises(InputError, match=r"grey\.png' cannot light a scene: .*expected \(H, W, 3\)"):
-        read_environment(str(tmp_path / "grey.png"))
-    write_png(tmp_path / "sky.png", np.full((4, 8, 4), 255, np.uint8))
-    assert read_environment(str(tmp_path / "sky.png")).radiance.shape == (4, 8, 3)
+    write_png(tmp_path / "sky.png", np.full((4, 8, 4), 128, np.uint8))
+    # 128 of 255 is 0.2158 by the formula of IEC 61966-2-1.
+    for name in ("grey", "sky"):
+        np.testing.assert_allclose(read_environment(str(tmp_path / f"{name}.png")).radiance, 0.2158, atol=1e-4)
 
 
 def test_a_set_is_called_as_its_folder(tmp_path):

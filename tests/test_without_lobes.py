@@ -49,6 +49,8 @@ def test_the_command_bakes_and_prints_it(folder, tmp_path):
     )
     assert result.exit_code == 0, result.output
     assert "It is matt." in result.output
+    engine = CliRunner().invoke(main, ["bake", str(folder), "-o", str(tmp_path), "--method", MATT, "--preset", "unity"])
+    assert "there are none for the preset 'unity'" in engine.output and ".meta" not in engine.output
     refused = CliRunner().invoke(main, ["bake", str(folder), "--method", MATT, "--model", "beckmann"])
     assert refused.exit_code == 2 and "no option 'model'" in refused.output
 

@@ -5,23 +5,23 @@ from __future__ import annotations
 from functools import lru_cache
 
 from brdffit.errors import InputError
-from brdffit.files.image_io import read_image
+from brdffit.probes.reading import read_surroundings
 from brdffit.probes.shading import ProbeLight
 from brdffit.render.environment import Environment, procedural_environment
 
 
 def read_environment(file: str | None) -> Environment:
-    """The environment of an equirectangular picture in linear radiance (.hdr, .exr); None: the one that ships.
+    """The environment of a lat-long picture, read as for a probe; None: the one that ships.
 
     Raises:
-        InputError: when the picture cannot be read, or holds values that no light has.
+        InputError: when the picture cannot be read, has another layout, or holds values that no light has.
     """
     if file is None:
         return procedural_environment()
-    try:
-        return Environment(read_image(file).pixels[..., :3])
-    except ValueError as error:
-        raise InputError(f"'{file}' cannot light a scene: {error}.") from error
+    found = read_surroundings(file)
+    if found.layout != "latlong":
+        raise InputError(f"'{file}' is a {found.layout}, expected a lat-long picture (2:1).")
+    return Environment(found.pixels)
 
 
 @lru_cache(maxsize=2)

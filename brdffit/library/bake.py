@@ -89,7 +89,8 @@ def open_set(task: Task) -> TextureSet:
     """
     found, reading = task.found, dict(task.reading)
     if found.files is None:
-        reading["material"] = found.material or (reading.get("material") if material_file(found) else None)
+        if found.material or (reading.get("material") and material_file(found) is None):
+            reading["material"] = found.material
         texture_set = read_texture_set(found.source, **reading)
         texture_set.name = found.name
         return texture_set

@@ -162,12 +162,19 @@ def _without_parts(sets: list[Found]) -> list[Found]:
 
 
 def material_file(found: Found) -> Path | None:
-    """The glTF or MaterialX file a set is read from, or None where names tell its maps."""
+    """The glTF or MaterialX file a set is read from, or None where names tell its maps.
+
+    Raises:
+        InputError: when its folder cannot be read.
+    """
     if found.source.is_file():
         return found.source
     if found.files is not None:
         return None
-    scenes = [name for name in os.listdir(found.source) if name.lower().endswith(SUFFIXES) and name[0] != "."]
+    try:
+        scenes = [name for name in os.listdir(found.source) if name.lower().endswith(SUFFIXES) and name[0] != "."]
+    except OSError as error:
+        raise InputError(f"'{found.source}' cannot be read: {error.strerror}.") from error
     return found.source / scenes[0] if len(scenes) == 1 else None
 
 

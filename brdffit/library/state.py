@@ -67,9 +67,9 @@ def input_files(task: Task) -> dict[str, Path]:
             kinds = (*IMAGE_SUFFIXES, *SUFFIXES)
             names = sorted(os.listdir(folder))
             paths = [folder / name for name in names if name.lower().endswith(kinds) and not name.startswith(".")]
-        entry = material_file(found)
     except OSError as error:
         raise InputError(f"'{found.source}' cannot be read: {error.strerror}.") from error
+    entry = material_file(found)
     paths += references(entry, found.material) if entry is not None else []
     for text in (task.reading["roles"] or {}).values():
         file, _, channel = text.rpartition(":")

@@ -166,7 +166,7 @@ def _linear_picture(path: Path, notes: list[str]) -> NDArray:
 
 def _guessed(path: Path, shape: tuple[int, ...]) -> str:
     height, width = shape[:2]
-    if abs(width - 2 * height) <= 2:
+    if abs(width - 2 * height) <= min(2, height // 8):
         return "latlong"
     for layout, cells in CELLS.items():
         rows, columns = np.max(cells, axis=0) + 1
@@ -234,7 +234,7 @@ def _checked(path: Path, pixels: NDArray, clamp: bool, notes: list[str]) -> NDAr
         f"{count} {what}" for count, what in ((not_finite, "not finite"), (negative, "negative")) if count
     )
     if not clamp:
-        raise InputError(f"'{path}' holds values that are no radiance: {found}; `brdffit probe --clamp` mends it.")
+        raise InputError(f"'{path}' holds values that are no radiance: {found}; `brdffit probe --clamp` mends them.")
     largest = float(pixels[np.isfinite(pixels)].max(initial=0.0))
     notes.append(f"Values that are no radiance were clamped: {found}.")
     return np.maximum(np.nan_to_num(pixels, nan=0.0, posinf=largest, neginf=0.0), 0.0).astype(np.float32)

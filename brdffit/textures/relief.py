@@ -21,7 +21,7 @@ DEFAULT_HEIGHT_SHARE = 0.02
 #: Correlation from which the curl of a normal map is reported as contradicting its name.
 _CONTRADICTS = 0.5
 #: Sources of the normal's Y that measure nothing, as a sentence has them.
-_SAID_BY = {"name": "as its name says", "convention": "as the names of its set say", "given": "as asked"}
+_SAID_BY = {"name": "as its name says", "convention": "as its set or its file's format has it", "given": "as asked"}
 #: The mean of a normal map's red and green where 0.5 was decoded from sRGB, or encoded to it.
 _SRGB_MEANS = {"decoded as": 0.2140, "encoded as": 0.7354}
 
