@@ -1,6 +1,7 @@
 """The comparison: what it measures on sets whose answer is known, and that its records are whole."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -162,9 +163,8 @@ def test_the_report_links_a_page_of_the_viewer_and_keeps_it_when_drawn_anew(tmp_
     asked = dataclasses.replace(small_ask("naive", "lean", "bfgs", "vmf", "toksvig"), viewer=True)
     made = compare([material(bumps=0.2)], asked)
     assert list(made.viewer) == [made.comparison.sets[0].viewer] == ["viewer/set-1.html"]
-    for text in ('"bfgs"', '"naive"', '"lean"'):
-        assert text in made.viewer["viewer/set-1.html"]
-    assert '"vmf"' not in made.viewer["viewer/set-1.html"]
+    names = re.findall(r'"name":"(.*?)"', made.viewer["viewer/set-1.html"])
+    assert names == ["bfgs", "lean", "vmf"]  # the fit first; the page makes averages itself
     folder = tmp_path / "report"
     page = write_report(made.comparison, made.pictures, folder, made.viewer)
     assert 'href="viewer/set-1.html"' in page.read_text(encoding="utf-8")

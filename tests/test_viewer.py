@@ -99,7 +99,7 @@ def test_an_environment_keeps_its_range():
 def test_a_page_of_a_baked_folder(tmp_path):
     folder = bake_folder(tmp_path / "</script>")
     page = view(folder, tmp_path / "view.html").read_text(encoding="utf-8")
-    assert "TITLE" not in page and "/*DATA*/" not in page
+    assert "{{" not in page and "{%" not in page
     data = json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', page, re.S).group(1))
     assert [method["name"] for method in data["methods"]] == ["naive"]
     assert data["source"]["sizes"] == [[32, 32]]
@@ -143,8 +143,7 @@ def test_the_lobe_of_the_page_is_the_renderer_s(tmp_path):
     specular, diffuse = specular.astype(np.float32), diffuse.astype(np.float32)
     wanted = brdf(normal, tensor, specular, diffuse, seen_from, light)
 
-    shader = (files("brdffit.viewer") / "page.html").read_text(encoding="utf-8")
-    lobe = shader.split("//LOBE")[1].split("//END")[0]
+    lobe = (files("brdffit.viewer") / "templates" / "lobe.glsl").read_text(encoding="utf-8")
     stored = np.zeros((count, 6, 4), np.float32)
     for place, values in enumerate((light, seen_from, normal, tensor, specular, diffuse)):
         stored[:, place, :3] = values
@@ -168,8 +167,8 @@ shader(gl.FRAGMENT_SHADER,`#version 300 es
 precision highp float;uniform highp sampler2D t;out vec4 c;const float PI=3.14159265;
 LOBE
 vec3 get(int i,int k){int j=i*6+k;return texelFetch(t,ivec2(j%256,j/256),0).xyz;}
-void main(){int i=int(gl_FragCoord.y)*64+int(gl_FragCoord.x);Texel x;x.n=get(i,2);x.S=get(i,3);x.spec=get(i,4);
- x.diff=get(i,5);c=vec4(brdf(get(i,0),get(i,1),x),1);}`);
+void main(){int i=int(gl_FragCoord.y)*64+int(gl_FragCoord.x);
+ Texel x=Texel(get(i,2),get(i,3),get(i,4),get(i,5));c=vec4(brdf(get(i,0),get(i,1),x),1);}`);
 gl.linkProgram(p);gl.useProgram(p);
 function texture(w,h){const t=gl.createTexture();gl.bindTexture(gl.TEXTURE_2D,t);
  gl.texStorage2D(gl.TEXTURE_2D,1,gl.RGBA32F,w,h);

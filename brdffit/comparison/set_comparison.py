@@ -252,7 +252,8 @@ class SetComparison:
 
     def _viewer_page(self, pyramids: Pyramids, fit: str) -> str:
         """A page of the viewer with the fit and the next methods; returns its path, or "" where it cannot draw them."""
-        names = [name for name, levels in pyramids.items() if levels[0].model == DRAWN_MODEL]
+        # The page makes averages itself.
+        names = [n for n, levels in pyramids.items() if levels[0].model == DRAWN_MODEL and n != "naive"]
         names.sort(key=lambda name: name != fit)
         if not names or self.base.model != DRAWN_MODEL or max(self.base.size) > MOST_TEXELS:
             return ""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -63,11 +62,14 @@ def page_text(
         "environment": sky,
         "note": " ".join(said),
     }
-    page = (files("brdffit.viewer") / "page.html").read_text(encoding="utf-8")
     # "</" would end the script that holds the data.
     text = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
-    title = f"{name}: MIP levels".replace("&", "&amp;").replace("<", "&lt;")
-    return page.replace("TITLE", title, 1).replace("/*DATA*/", text, 1)
+    import jinja2
+
+    templates = jinja2.Environment(
+        loader=jinja2.PackageLoader("brdffit.viewer"), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    return templates.get_template("page.html").render(title=f"{name}: MIP levels", data=text)
 
 
 def middle(svbrdf: Svbrdf) -> Svbrdf:
