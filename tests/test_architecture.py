@@ -96,7 +96,6 @@ FORBIDDEN = {
     "brdffit.viewer": {
         "brdffit.fitting", "brdffit.halfangle", "brdffit.models", "brdffit.render", "brdffit.report",
         "brdffit.comparison", "brdffit.planning", "brdffit.library", "brdffit.neural", "brdffit.learned", "matplotlib",
-        "jinja2",
     },
     # What is said of a result; the road asks it, not the other way round.
     "brdffit.assessment": {"brdffit.pipeline", "brdffit.textures", "brdffit.export", "brdffit.cli"},
