@@ -69,7 +69,7 @@ def read_gltf(path: Path, data: bytes, name: str | None = None) -> TextureSet:
                 )
         texture_set.material = chosen
         _Reader(texture_set, path, document, binary, materials[chosen]).read()
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise InputError(
             f"'{path}' is a damaged glTF file: its material refers to something missing ({error!r})."
         ) from error
