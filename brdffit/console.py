@@ -13,17 +13,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.color import Color
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn
 from rich.segment import Segment, Segments
 from rich.style import Style
-from rich.table import Table
 
 from brdffit.files.image_io import read_image
 from brdffit.fitting.status import FALLBACK
 from brdffit.options import described
+from brdffit.terminal import plain_console, plain_table
 
 if TYPE_CHECKING:
     from brdffit.doctor import Diagnosis
@@ -38,8 +37,6 @@ _PHASES = {
     "finishing": "measuring, drawing and writing",
 }
 
-#: Width in columns where no terminal sets one: wide enough that file names are not broken.
-_PIPED_WIDTH = 200
 #: Columns of a picture in the terminal.
 _MOST_COLUMNS = 100
 
@@ -88,7 +85,7 @@ class BakeDisplay:
 
 def print_report(report: BakeReport) -> None:
     """Print a table of the levels, the notes, the seconds of each phase, and the folder."""
-    table = _table("level", "size", "SNR dB", "energy kept", "fallbacks", "texels/s", justify="right")
+    table = plain_table("level", "size", "SNR dB", "energy kept", "fallbacks", "texels/s", justify="right")
     for index, ((height, width), level) in enumerate(zip(report.baked.sizes, report.baked.levels, strict=True)):
         status, seconds = (level.status, level.seconds) if level else (None, 0.0)
         measured = report.measured[index] if index < len(report.measured) else {}
@@ -100,7 +97,7 @@ def print_report(report: BakeReport) -> None:
             _number(None if status is None else int((status == FALLBACK).sum()), ","),
             _number(height * width / seconds if seconds > 0 else None, ",.0f"),
         )
-    console = _console()
+    console = plain_console()
     console.print(table)
     of_preset = report.manifest["preset"]["note"] if report.baked.lobes is not None else ""
     _print_list(console, [*report.notes, *filter(None, [of_preset])])
@@ -113,7 +110,7 @@ def print_report(report: BakeReport) -> None:
 
 def print_options(method: Method, plain: bool = False) -> None:
     """Print the options of a method: names, values, defaults, and a line on each; ``plain`` prints the names alone."""
-    console = _console()
+    console = plain_console()
     options = described(method.options).values()
     if plain:
         for each in options:
@@ -121,7 +118,7 @@ def print_options(method: Method, plain: bool = False) -> None:
         return
     console.print(f"{method.name}: {method.summary}")
     console.print("Each is said by --set NAME=VALUE, or by NAME = VALUE in the table [options] of library.toml.")
-    table = _table("option", "values", "default", "")
+    table = plain_table("option", "values", "default", "")
     for each in options:
         default = str(each.default).lower() if each.default in (None, True, False) else str(each.default)
         table.add_row(each.full_name, each.values, default, each.says)
@@ -130,19 +127,19 @@ def print_options(method: Method, plain: bool = False) -> None:
 
 def print_inspection(inspection: Inspection) -> None:
     """Print the maps with their roles and decoding, conventions, statistics, and what looks wrong."""
-    console = _console()
+    console = plain_console()
     height, width = inspection.size
     console.print(
         f"{inspection.name}: {width}x{height}, wrap {inspection.wrap}, "
         f"normal Y {inspection.normal_y} ({inspection.normal_y_source})"
     )
-    table = _table("role", "file", "size", "bits", "read as")
+    table = plain_table("role", "file", "size", "bits", "read as")
     for image in inspection.maps:
         file = f"{image.file}:{image.channel}" if image.channel else image.file
         bits = f"{image.bits} float" if image.is_float else str(image.bits)
         table.add_row(image.role, file, f"{image.width}x{image.height}", bits, image.decoding)
     console.print(table)
-    table = _table("statistic", "value")
+    table = plain_table("statistic", "value")
     for name, value in inspection.statistics.items():
         values = value if isinstance(value, tuple) else (value,)
         table.add_row(name.replace("_", " "), "  ".join(f"{number:.4g}" for number in values))
@@ -160,10 +157,10 @@ def print_inspection(inspection: Inspection) -> None:
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """Print the hard cases and their meaning, the fit of the worst texels and of each level, and advice."""
-    console = _console()
+    console = plain_console()
     console.print(f"{diagnosis.name}: {diagnosis.width}x{diagnosis.height}, quality {diagnosis.options['quality']}")
     if diagnosis.findings:
-        table = _table("hard case", "texels", "of level", "worst (x,y)", "there the fit", "dB")
+        table = plain_table("hard case", "texels", "of level", "worst (x,y)", "there the fit", "dB")
         for finding in diagnosis.findings:
             treatment = finding.treatment
             place = ",".join(map(str, finding.worst[0][1:])) if finding.worst else "-"
@@ -175,7 +172,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         _print_list(console, [f"{each.case}: {each.meaning}" for each in diagnosis.findings])
     else:
         console.print("None of the hard cases was found.")
-    table = _table("level", "size", "texels looked at", "the fit", "dB by the fit", "dB measured", "energy kept")
+    table = plain_table("level", "size", "texels looked at", "the fit", "dB by the fit", "dB measured", "energy kept")
     for level in diagnosis.levels:
         each = level.treatment
         table.add_row(str(level.level), f"{level.width}x{level.height}", f"{each.texels:,}", _statuses(each.statuses),
@@ -198,7 +195,7 @@ def _statuses(counts: dict[str, int]) -> str:
 
 def show_picture(path: Path) -> None:
     """Open a picture on the screen; without one, draw it in the terminal; into a pipe or a file, do nothing."""
-    console = _console()
+    console = plain_console()
     if not console.is_terminal:
         return
     opener = shutil.which("open" if sys.platform == "darwin" else "xdg-open")
@@ -223,21 +220,6 @@ def _half_blocks(path: Path, columns: int) -> Iterator[Segment]:
         for ink, ground in zip(upper, lower, strict=True):
             yield Segment("\u2580", Style(color=Color.from_rgb(*ink), bgcolor=Color.from_rgb(*ground)))
         yield Segment.line()
-
-
-def _console() -> Console:
-    # Paths and sentences are data, not markup.
-    console = Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
-    if not console.is_terminal:
-        console.width = _PIPED_WIDTH
-    return console
-
-
-def _table(*columns: str, justify: str = "left") -> Table:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in columns:
-        table.add_column(column, justify=justify, overflow="fold")  # type: ignore[arg-type]
-    return table
 
 
 def _print_list(console: Console, sentences: list[str]) -> None:

@@ -19,13 +19,12 @@ from rich.text import Text
 
 from brdffit.report.records import MOST_DB, RECORDS, Comparison
 from brdffit.report.summary import DISTANCES, groups, level_table, overall, summary, through_probe
+from brdffit.terminal import plain_console
 
 if TYPE_CHECKING:
     from brdffit.comparison.options import CompareOptions
 
 Path_ = str | os.PathLike[str]
-#: Columns where no terminal sets them.
-_PIPED_WIDTH = 140
 
 
 class Written(NamedTuple):
@@ -110,9 +109,7 @@ def redraw(records: Path_, folder: Path_ | None = None) -> Written:
 
 def print_summary(written: Written) -> None:
     """Print every method over all views, then its SNR at near, mid and far; a star marks the first of each column."""
-    console = Console(highlight=False, markup=False, emoji=False)
-    if not console.is_terminal:
-        console.width = _PIPED_WIDTH
+    console = plain_console()
     comparison = written.comparison
     sets = ", ".join(result.name for result in comparison.sets)
     console.print(f"All still views of {sets} (* first of its column)", soft_wrap=True)
@@ -219,8 +216,9 @@ def draw_landscape(
     title = f"{texture_set.name}, level {level}, texel {texel[0]},{texel[1]}: log(1 + error)"
     save_landscape(found, title, output)
     first, last = (_decibels(-10.0 * _log10(value)) for value in (found.values[0], found.values[-1]))
-    console = Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
-    console.print(f"{len(found.path) - 1} steps, {first} to {last} dB, {time.perf_counter() - began:.1f} s: {output}")
+    plain_console().print(
+        f"{len(found.path) - 1} steps, {first} to {last} dB, {time.perf_counter() - began:.1f} s: {output}"
+    )
 
 
 def _marked(text: str, best: bool) -> Text:

@@ -85,12 +85,7 @@ class Studio:
     def method(self, levels: Sequence[Svbrdf] | Appearance, scene: Scene, lit: str) -> NDArray:
         """Two independent estimates (2, h, w, 3) of linear radiance; their mean is the picture."""
         return render_appearance_halves(
-            levels,
-            scene,
-            self._lights(lit),
-            environment=self._environment(lit),
-            terms=self.terms,
-            threads=self.threads,
+            levels, scene, self._lights(lit), environment=self._environment(lit), terms=self.terms, threads=self.threads
         )
 
     def _lights(self, lit: str) -> Lights | None:

@@ -6,18 +6,16 @@ import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Self
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+
+from brdffit.terminal import plain_console, plain_table
 
 if TYPE_CHECKING:
     from brdffit.library.run import Plan, Summary
     from brdffit.library.task import Outcome
 
 _PHASES = {"looking": "looking at the sets", "compiling": "compiling or loading the kernels", "baking": "baking"}
-#: Columns where no terminal sets them: names and sentences stay whole.
-_PIPED_WIDTH = 200
 #: Sets that a dry run lists before it only counts them.
 _LISTED = 200
 
@@ -77,10 +75,8 @@ class LibraryDisplay:
 
 def print_plan(plan: Plan) -> None:
     """Print what a run would bake, and why."""
-    console = _console()
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in ("set", "size", "why", "method", "preset", "options"):
-        table.add_column(column, overflow="fold")
+    console = plain_console()
+    table = plain_table("set", "size", "why", "method", "preset", "options")
     for key, reason in list(plan.reasons.items())[:_LISTED]:
         task, (height, width) = plan.tasks[key], plan.sizes[key]
         options = ", ".join(f"{name} {value}" for name, value in task.options.items())
@@ -94,7 +90,7 @@ def print_plan(plan: Plan) -> None:
 
 def print_summary(summary: Summary, output: str) -> None:
     """Print what was done, and the list of what failed."""
-    console = _console()
+    console = plain_console()
     baked = [outcome for outcome in summary.outcomes if outcome.error is None]
     line = f"{_sets(len(baked))} baked, {len(summary.plan.skipped)} up to date, {len(summary.failures)} failed"
     if baked:
@@ -120,10 +116,3 @@ def _seconds(outcome: Outcome) -> float:
 
 def _sets(count: int) -> str:
     return f"{count} set{'' if count == 1 else 's'}"
-
-
-def _console() -> Console:
-    console = Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
-    if not console.is_terminal:
-        console.width = _PIPED_WIDTH
-    return console

@@ -31,7 +31,8 @@ from brdffit.textures.reading import SUFFIXES
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 #: Sources that no pixel depends on; a change of them leaves results up to date.
-_NO_MATTER = ("cli.py", "cli_options.py", "comparison/", "console.py", "library/", "report/", "tradeoff/", "viewer/")
+_NO_MATTER = ("cli.py", "cli_options.py", "comparison/", "console.py", "library/", "report/",
+              "terminal.py", "tradeoff/", "viewer/")  # fmt: skip
 #: Sources of the library that its pictures and manifests depend on.
 _MATTER = ("library/bake.py", "library/state.py", "library/thumbnail.py")
 

@@ -301,7 +301,7 @@ def request_digest(path: Path, options: ProbeOptions) -> str:
 
 
 def bake_probe(
-    path: str | Path, output: Path, options: ProbeOptions, threads: int | None = None, command: str = ""
+    path: str | Path, output: Path, options: ProbeOptions, threads: int | None = None
 ) -> tuple[Probe, dict[str, Any]]:
     """Make a probe and write its folder, whole or not at all; returns the probe and its manifest.
 
@@ -310,7 +310,6 @@ def bake_probe(
         output: folder to write; an older probe in it is replaced.
         options: of the probe.
         threads: workers; None takes all cores.
-        command: command line to record in the manifest.
 
     Raises:
         InputError: when the environment or an option cannot be used.
@@ -327,7 +326,7 @@ def bake_probe(
             draw_faces(probe.stored(probe.levels[0].radiance / np.float32(probe.scale)), folder / "faces.png", title)
             files += ["picture.png", "faces.png"]
         probe.seconds["writing and drawing"] = time.perf_counter() - began
-        manifest = probe_manifest(probe, options, files, command)
+        manifest = probe_manifest(probe, options, files)
         manifest["digest"] = request_digest(path, options)
         (folder / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     return probe, manifest
@@ -340,7 +339,7 @@ def foreign_file(folder: Path) -> str | None:
     return first_other(folder, ours | {f"specular-{level}.exr" for level in range(16)})
 
 
-def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], command: str) -> dict[str, Any]:
+def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str]) -> dict[str, Any]:
     """The manifest of a probe, ready for JSON; ``files`` are the names that were written."""
     levels = [
         {
@@ -358,7 +357,6 @@ def probe_manifest(probe: Probe, options: ProbeOptions, files: list[str], comman
     ]
     return {
         "brdffit": version("brdffit"),
-        "command": command,
         "source": str(probe.surroundings.path),
         "layout": probe.surroundings.layout,
         "options": asdict(options),

@@ -79,7 +79,7 @@ def bake_all(
             if not force and _is_up_to_date(folder, path, options):
                 tell(f"{folder}: up to date")
                 continue
-            _, manifest = bake_probe(path, folder, options, threads, f"brdffit probe {path} -o {output}")
+            _, manifest = bake_probe(path, folder, options, threads)
         except BrdffitError as error:
             failed.append((str(path), error))
             continue
@@ -95,9 +95,9 @@ def _is_up_to_date(folder: Path, path: Path, options: ProbeOptions) -> bool:
         manifest = _manifest(folder)
     except InputError:
         return False
-    if not manifest or not all((folder / name).exists() for name in manifest["files"]):
+    if not manifest or not all((folder / name).exists() for name in manifest.get("files", ())):
         return False
-    return manifest["digest"] == request_digest(path, options)
+    return manifest.get("digest") == request_digest(path, options)
 
 
 def _report(folder: Path, manifest: dict) -> list[str]:

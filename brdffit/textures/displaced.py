@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from brdffit.textures.encoding import height_gradient, normals_from_gradient
-from brdffit.textures.patterns import Color, Maps, frequencies, noise, periodic, scattered, unit_range
+from brdffit.textures.patterns import Color, Maps, frequencies, grain, noise, periodic, scattered, unit_range
 
 
 def relief(height: NDArray, depth: float, color: NDArray, roughness: NDArray) -> Maps:
@@ -25,12 +25,6 @@ def relief(height: NDArray, depth: float, color: NDArray, roughness: NDArray) ->
         roughness=roughness,
         height=height,
     )
-
-
-def grain(size: int, rng: np.random.Generator, cycles: float) -> NDArray:
-    """Tileable noise of no more than so many cycles across the texture."""
-    fx, fy = frequencies(size)
-    return noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / cycles) ** 2))
 
 
 def cells(size: int, points: NDArray, bend: NDArray, stretch: float = 1.0) -> tuple[NDArray, NDArray]:

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from brdffit.textures.encoding import height_gradient, normals_from_gradient
-from brdffit.textures.patterns import Color, Maps, frequencies, noise
+from brdffit.textures.patterns import Color, Maps, grain
 
 
 class GlassPanes(msgspec.Struct, forbid_unknown_fields=True):
@@ -40,17 +40,16 @@ class GlassPanes(msgspec.Struct, forbid_unknown_fields=True):
         plane = x * tilt_x[row, column] + y * tilt_y[row, column]
         curve = bow * 0.5 * ((x * across) ** 2 / across + (y * down) ** 2 / down)
         height = (bevel + plane + curve) * in_pane
-        fx, fy = frequencies(size)
-        cloud = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 12.0) ** 2))
-        grain = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / (0.2 * size)) ** 2))
+        cloud = grain(size, rng, 12.0)
+        fine = grain(size, rng, 0.2 * size)
         # Dust gathers at the lower edge and thins out upwards.
         rise = 0.5 - y * down
         film = np.clip(1.0 - rise / self.dusty + 0.25 * cloud, 0.0, 1.0) * in_pane
         clean, dusted, frame = self.roughness
-        rough = clean + (dusted - clean) * film**0.5 * (film > 0.0) * np.clip(1.0 + 0.1 * grain, 0.0, 1.5)
+        rough = clean + (dusted - clean) * film**0.5 * (film > 0.0) * np.clip(1.0 + 0.1 * fine, 0.0, 1.5)
         is_glass = in_pane[:, :, None]
         colour = np.array(self.glass) + (np.array(self.dust) - np.array(self.glass)) * film[:, :, None]
-        frame_colour = np.array(self.frame) * (1.0 + 0.06 * grain)[:, :, None]
+        frame_colour = np.array(self.frame) * (1.0 + 0.06 * fine)[:, :, None]
         return Maps(
             color=np.clip(frame_colour + (colour - frame_colour) * is_glass, 0.0, 1.0),
             normal=normals_from_gradient(height_gradient(height, "tile") * size),

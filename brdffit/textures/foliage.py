@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from brdffit.textures.encoding import height_gradient, normals_from_gradient
-from brdffit.textures.patterns import Color, Maps, frequencies, noise, periodic, scattered
+from brdffit.textures.patterns import Color, Maps, grain, periodic, scattered
 
 
 class LeafLitter(msgspec.Struct, forbid_unknown_fields=True):
@@ -24,9 +24,8 @@ class LeafLitter(msgspec.Struct, forbid_unknown_fields=True):
 
     def make(self, size: int, rng: np.random.Generator) -> Maps:
         axis = (np.arange(size) + 0.5) / size
-        fx, fy = frequencies(size)
-        grain = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / (0.2 * size)) ** 2))
-        cloud = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 14.0) ** 2))
+        fine = grain(size, rng, 0.2 * size)
+        cloud = grain(size, rng, 14.0)
         gradient, opacity = np.zeros((size, size, 2)), np.zeros((size, size))
         color, rough = np.zeros((size, size, 3)), np.full((size, size), self.roughness[1])
         for x0, y0 in scattered(rng, self.leaves):
@@ -46,14 +45,14 @@ class LeafLitter(msgspec.Struct, forbid_unknown_fields=True):
             veins = np.maximum(rib, 0.6 * np.exp(-((side / 0.05) ** 2)) * (edge > 0.02))
             shape = self.curl * (across**2 - 0.15 * np.sin(2.5 * along + 6.0 * age)) - self.groove * veins
             tone = np.array(self.young) * (1.0 - age) + np.array(self.old) * age
-            tone = tone * (1.0 + 0.12 * cloud + 0.05 * grain)[:, :, None]
+            tone = tone * (1.0 + 0.12 * cloud + 0.05 * fine)[:, :, None]
             tone += (np.array(self.vein) - tone) * (0.7 * veins)[:, :, None]
             over = mask > 0.0
             # Slopes of the leaf alone: its border is no step of the surface.
             gradient[over] = height_gradient(shape * 0.5 * scale * self.length * size, "tile")[over]
             color[over] = tone[over]
             waxy, dry = self.roughness
-            rough[over] = (waxy + (dry - waxy) * np.clip(0.5 * age + 0.5 * veins + 0.04 * grain, 0.0, 1.0))[over]
+            rough[over] = (waxy + (dry - waxy) * np.clip(0.5 * age + 0.5 * veins + 0.04 * fine, 0.0, 1.0))[over]
             opacity = np.maximum(opacity, mask)
         return Maps(
             color=np.clip(color, 0.0, 1.0),

@@ -14,7 +14,7 @@ from brdffit.textures.displaced import CliffRock, FoamBlobs, Pebbles, TurtleShel
 from brdffit.textures.encoding import height_gradient, normals_from_gradient
 from brdffit.textures.facade import GlassPanes
 from brdffit.textures.foliage import LeafLitter
-from brdffit.textures.patterns import Color, Maps, frequencies, noise, periodic, scattered, step, unit_range
+from brdffit.textures.patterns import Color, Maps, frequencies, grain, noise, periodic, scattered, step, unit_range
 from brdffit.textures.strokes import BrushStrokes
 
 
@@ -76,9 +76,8 @@ class HammeredMetal(msgspec.Struct, forbid_unknown_fields=True):
             tint[np.ix_(rows, columns)] += hue[i] * weight
         height = -self.ridge * np.log(envelope)
         tint /= envelope
-        fx, fy = frequencies(size)
-        grain = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 60.0) ** 2))
-        cloud = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 5.0) ** 2))
+        fine = grain(size, rng, 60.0)
+        cloud = grain(size, rng, 5.0)
         ridges = unit_range(height) ** 2
         low, high = self.roughness
         shade = 1.0 + 0.03 * tint + 0.04 * cloud - 0.25 * ridges
@@ -86,7 +85,7 @@ class HammeredMetal(msgspec.Struct, forbid_unknown_fields=True):
         return Maps(
             color=np.clip(color, 0.0, 1.0),
             normal=normals_from_gradient(height_gradient(height, "tile") * size),
-            roughness=low + (high - low) * np.clip(ridges + 0.12 * cloud + 0.05 * grain, 0.0, 1.0),
+            roughness=low + (high - low) * np.clip(ridges + 0.12 * cloud + 0.05 * fine, 0.0, 1.0),
             metallic=np.ones((size, size)),
             height=height,
         )
@@ -122,8 +121,7 @@ class GroovedRecord(msgspec.Struct, forbid_unknown_fields=True):
         felt = step(radius, 0.484, size)
         paper = 1.0 - step(radius, label, size)
         paper *= step(radius, hole, size)
-        fx, fy = frequencies(size)
-        fibre = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / (0.2 * size)) ** 2))
+        fibre = grain(size, rng, 0.2 * size)
         fibre_gradient = height_gradient(fibre, "clamp")
         fibre_gradient *= (0.16 * felt + 0.02 * paper)[:, :, None] / float(fibre_gradient.std())
         unit_x, unit_y = np.cos(angle), np.sin(angle)
@@ -172,10 +170,9 @@ class GlossyTiles(msgspec.Struct, forbid_unknown_fields=True):
         profile = np.sqrt(np.clip(1.0 - (1.0 - rise) ** 2, 0.0, 1.0))
         tilt_x, tilt_y = rng.normal(0.0, self.tilt, (2, down, across))
         shade, lift = rng.normal(0.0, 1.0, (2, down, across))
-        fx, fy = frequencies(size)
-        sand = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / (0.18 * size)) ** 2))
-        wave = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 9.0) ** 2))
-        speck = noise(size, rng, np.exp(-0.5 * (np.hypot(fx, fy) / 40.0) ** 2))
+        sand = grain(size, rng, 0.18 * size)
+        wave = grain(size, rng, 9.0)
+        speck = grain(size, rng, 40.0)
         wave_gradient = height_gradient(wave, "tile") * size
         plane = x * tilt_x[row, column] + y * tilt_y[row, column] + 0.0004 * lift[row, column]
         height = profile * (self.depth + plane + self.ripple / float(wave_gradient.std()) * wave)

@@ -12,7 +12,7 @@ from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.conversion import scalar_map, to_svbrdf
 from brdffit.textures.noise_floor import subtract_noise_floor
-from brdffit.textures.orientation import DECISIVE, measured_evidence, normal_y_agreement
+from brdffit.textures.orientation import DECISIVE, measured_evidence
 from brdffit.textures.texture_set import TextureSet
 
 #: Mean length of stored normals below which they are called short.
@@ -94,24 +94,8 @@ def inspect_set(texture_set: TextureSet) -> Inspection:
         inspection.wrong.append(str(error))
     else:
         _gather(inspection, texture_set, svbrdf)
-    inspection.notes = [*_evidence(texture_set), *texture_set.notes]
+    inspection.notes += texture_set.notes
     return inspection
-
-
-def _evidence(texture_set: TextureSet) -> list[str]:
-    """The verdict on the normal's Y, and every piece of evidence for it with its strength, in one sentence."""
-    if "normal" not in texture_set.maps:
-        return []
-    says = {"gl": "OpenGL", "dx": "DirectX"}
-    weighed = ", ".join(
-        f"{each.source} for {says[each.normal_y]} {each.strength:.2f}"
-        for each in measured_evidence(texture_set)
-        if each.strength > 0.0
-    )
-    return [
-        f"The normal's Y is read as {says[texture_set.normal_y]}; this is known from: {texture_set.normal_y_source}. "
-        f"Correlations: {weighed or 'none could be measured'}."
-    ]
 
 
 def _report(texture_set: TextureSet, role: str) -> MapReport:
@@ -157,13 +141,21 @@ def _look_at_map(inspection: Inspection, texture_set: TextureSet, role: str) -> 
                 f"'{named.path.name}' is flat: it only dithers between neighbouring codes of its {named.info.bits} "
                 f"bits (standard deviation {spread / noise.step:.1f} codes); {read}."
             )
-    agreement, evidence = normal_y_agreement(texture_set)
-    stored = "gl" if agreement > 0.0 else "dx"
-    if abs(agreement) >= DECISIVE and stored != texture_set.normal_y:
-        why = "the height map" if evidence == "height" else "the slopes' curl"
+    found = measured_evidence(texture_set)
+    says = {"gl": "OpenGL", "dx": "DirectX"}
+    weighed = ", ".join(
+        f"{each.source} for {says[each.normal_y]} {each.strength:.2f}" for each in found if each.strength
+    )
+    inspection.notes.append(
+        f"The normal's Y is read as {says[texture_set.normal_y]}; this is known from: {texture_set.normal_y_source}. "
+        f"Correlations: {weighed or 'none could be measured'}."
+    )
+    best = max(found, key=lambda each: each.strength)
+    if best.strength >= DECISIVE and best.normal_y != texture_set.normal_y:
+        why = "the height map" if best.source == "height" else "the slopes' curl"
         inspection.wrong.append(
-            f"'{named.path.name}' is read as {texture_set.normal_y.upper()}, but {why} speaks for {stored.upper()} "
-            f"(correlation {abs(agreement):.2f}): check normal-y."
+            f"'{named.path.name}' is read as {texture_set.normal_y.upper()}, but {why} speaks for "
+            f"{best.normal_y.upper()} (correlation {best.strength:.2f}): check normal-y."
         )
 
 

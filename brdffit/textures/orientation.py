@@ -106,15 +106,6 @@ def measured_evidence(texture_set: TextureSet) -> list[Evidence]:
     return found
 
 
-def normal_y_agreement(texture_set: TextureSet) -> tuple[float, str]:
-    """The strongest measured evidence: a correlation, positive for OpenGL, and "height" or "slopes"."""
-    found = measured_evidence(texture_set)
-    if not found:
-        return 0.0, "slopes"
-    best = max(found, key=lambda each: each.strength)
-    return (best.strength if best.normal_y == "gl" else -best.strength), best.source
-
-
 def contradiction(vectors: NDArray) -> float:
     """How strongly the curl of decoded normals (H, W, 3), OpenGL, speaks against their Y: a correlation, or 0."""
     return max(0.0, -curl_agreement(encoding.slopes_of_normals(vectors[:_CROP, :_CROP])))

@@ -45,6 +45,11 @@ def noise(size: int, rng: np.random.Generator, spectrum: NDArray) -> NDArray:
     return field / field.std()
 
 
+def grain(size: int, rng: np.random.Generator, cycles: float) -> NDArray:
+    """Tileable noise of no more than so many cycles across the texture."""
+    return noise(size, rng, np.exp(-0.5 * (np.hypot(*frequencies(size)) / cycles) ** 2))
+
+
 def periodic(offset: NDArray) -> NDArray:
     """The nearest image of an offset on the unit circle, in [-0.5, 0.5)."""
     return (offset + 0.5) % 1.0 - 0.5
