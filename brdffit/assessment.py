@@ -27,9 +27,7 @@ from brdffit.svbrdf import Svbrdf
 _REPORT_TEXELS, _REPORT_NODES, _REPORT_SAMPLES, _SHARED_SAMPLES = 64, 512, 16, 64 * 48**2
 
 
-def assess(
-    material: Material, baked: Baked, texels: int = _REPORT_TEXELS, only: Collection[int] | None = None
-) -> list[dict[str, Any]]:
+def assess(material: Material, baked: Baked, only: Collection[int] | None = None) -> list[dict[str, Any]]:
     """One dictionary a level: ``snr_db``, ``energy_kept``, ``measured_texels``, at random texels against a dense rule.
 
     It is empty for levels that no pixel reads or that are not among ``only``, and for a result without lobes.
@@ -46,7 +44,7 @@ def assess(
         if unread or (only is not None and mip_level not in only):
             figures.append({})
             continue
-        columns, rows = random_texels(level.svbrdf.size, texels, seed=mip_level)
+        columns, rows = random_texels(level.svbrdf.size, _REPORT_TEXELS, seed=mip_level)
         found = measure(
             base, svbrdf.size, [dataclasses.replace(level, svbrdf=level.svbrdf.weighted())], columns, rows,
             pixel_filter=pyramid.options.pixel_filter, exponent=DENSITY_EXPONENTS[pyramid.options.density],

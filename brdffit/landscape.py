@@ -61,20 +61,20 @@ class Landscape:
     values: NDArray
 
 
-def landscape(svbrdf: Svbrdf, level: int, texel: tuple[int, int], *, model: str = "ggx", pixel_filter: str = "box",
+def landscape(svbrdf: Svbrdf, level: int, texel: tuple[int, int], *, model: str = "ggx",
               side: int = SIDE) -> Landscape:  # fmt: skip
     """The landscape of one texel (column, row) of a level.
 
     Raises:
         InputError: when the set has no such level or the level no such texel.
-        UnknownNameError: for an unknown model or pixel filter.
+        UnknownNameError: for an unknown model.
     """
     size = _checked_size(svbrdf, level, texel)
     source, target = get_model(svbrdf.model), get_model(model)
-    options = make_options(FitOptions, {"model": model, "pixel_filter": pixel_filter}, "'bfgs'")
+    options = make_options(FitOptions, {"model": model}, "'bfgs'")
     base, kernels = base_of(svbrdf, source.default_shape), model_kernels(source.name, target.name)
     search = search_settings(options, get_quality("fine"), base, source, target)
-    strata = dense_strata(svbrdf.size, size, pixel_filter, _SAMPLES)
+    strata = dense_strata(svbrdf.size, size, options.pixel_filter, _SAMPLES)
     problem = Problem(strata, lattice(_NODES), search, kernels)
     starts = problem.set_footprint(base, *texel)
     start = min((problem.clamped(starts[k]) for k in (LEAN, VMF)), key=problem.value)

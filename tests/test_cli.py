@@ -314,7 +314,7 @@ def test_a_picture_is_drawn_in_a_terminal_without_a_screen_and_nowhere_else(tmp_
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setattr(console.sys, "platform", "linux")
     terminal = console.Console(force_terminal=True, color_system="truecolor", width=2)
-    monkeypatch.setattr(console, "_console", lambda: terminal)
+    monkeypatch.setattr(console, "plain_console", lambda: terminal)
     console.show_picture(path)
     # One row of two half blocks: each is red above and blue below.
     assert capsys.readouterr().out.count("38;2;255;0;0;48;2;0;0;255m\u2580") == 2

@@ -293,8 +293,8 @@ class SetComparison:
             self.listener.phase(f"{self.name}: {what}")
 
     @contextmanager
-    def _phase(self, name: str, description: str | None = None) -> Iterator[None]:
-        self._tell(description or name)
+    def _phase(self, name: str) -> Iterator[None]:
+        self._tell(name)
         start = time.perf_counter()
         try:
             yield

@@ -117,13 +117,13 @@ def maximum_pyramid(height: NDArray) -> tuple[NDArray, NDArray]:
     return np.concatenate([image.ravel() for image in images]), np.array(levels, np.int64)
 
 
-def check_memory(size: tuple[int, int], bytes_per_texel: int = BYTES_PER_TEXEL) -> None:
+def check_memory(size: tuple[int, int]) -> None:
     """Refuse a surface of ``size`` (height, width) texels that does not fit into free memory, before it is made.
 
     Raises:
         InputError: tells how much memory is needed and how much is free.
     """
-    needed, free = size[0] * size[1] * bytes_per_texel, free_memory()
+    needed, free = size[0] * size[1] * BYTES_PER_TEXEL, free_memory()
     if free is not None and needed > free:
         raise InputError(
             f"A surface of {size[1]}x{size[0]} texels needs about {needed / 2**30:.1f} GiB of memory and "

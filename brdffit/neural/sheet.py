@@ -23,7 +23,7 @@ _SIDE, _GAP, _TITLE = 144, 6, 18
 #: Projected directions (+Y up) of the view, 45 degrees from the normal, and of the light, up and to the left.
 _VIEW = (0.0, -math.sqrt(0.5))
 _LIGHT = (-0.45, 0.25)
-#: Most samples a pixel of the truth.
+#: Samples of each pixel of the truth.
 _SAMPLES = 64
 _TIMES = 4.0
 
@@ -51,16 +51,13 @@ def level_queries(size: tuple[int, int], level: int, side: int = _SIDE) -> NDArr
     return queries
 
 
-def draw_sheet(
-    material: NeuralMaterial, answers: Answers | None, path: Path, samples: int = _SAMPLES
-) -> list[LevelFigures]:
+def draw_sheet(material: NeuralMaterial, answers: Answers | None, path: Path) -> list[LevelFigures]:
     """Write the sheet as a PNG; without ``answers`` it shows the material alone.
 
     Args:
         material: what is drawn.
         answers: the truth.
         path: the PNG.
-        samples: of each pixel of the truth.
 
     Returns:
         Figures of each level; empty without ``answers``.
@@ -77,7 +74,7 @@ def draw_sheet(
         seen = material.reader.predict(queries) * (height if material.on_plane else 1.0)
         shown, title = [seen], f"level {level}"
         if answers is not None:
-            truths = answers.twice(queries, 7919 * level, samples) * (height if answers.on_plane else 1.0)
+            truths = answers.twice(queries, 7919 * level, _SAMPLES) * (height if answers.on_plane else 1.0)
             error, power = error_of(seen, truths)
             figures.append(LevelFigures(error, 10.0 * math.log10(power / max(error, 1e-12))))
             true = truths.mean(axis=0)

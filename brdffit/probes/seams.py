@@ -29,7 +29,7 @@ def edge_steps(values: NDArray) -> tuple[float, float]:
 
 
 def seam_ratios(
-    cube: NDArray, requests: Sequence[LevelRequest], options: FilterOptions, turns: int, seed: int = 0
+    cube: NDArray, requests: Sequence[LevelRequest], options: FilterOptions, turns: int
 ) -> dict[int, float]:
     """Steps of the relative error across edges over those beside them, by number of level; about 1 without seams.
 
@@ -38,10 +38,9 @@ def seam_ratios(
         requests: levels with one lobe a texel (``points`` = 1).
         options: how they are filtered, without measuring them.
         turns: orientations that steps are summed over; the first is the environment as it stands.
-        seed: of the orientations.
     """
     sums = {request.level: np.zeros(2) for request in requests}
-    for number, rotation in enumerate(Rotation.random(turns, rng=np.random.default_rng(seed))):
+    for number, rotation in enumerate(Rotation.random(turns, rng=np.random.default_rng(0))):
         at = directions(cube.shape[1])
         turned = cube if number == 0 else look_up(cube, at @ rotation.as_matrix()).astype(np.float32)
         source = packed_source(turned)
