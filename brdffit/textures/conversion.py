@@ -21,6 +21,8 @@ from brdffit.textures.texture_set import TextureSet
 DIELECTRIC_F0 = 0.04
 #: Linear base colour and perceptual roughness in place of missing maps.
 DEFAULT_BASE_COLOR, DEFAULT_ROUGHNESS = 0.5, 0.5
+#: How far a quantity may lie outside of [0, 1] without a note, by the rounding of half floats and filters.
+_BEYOND = 0.01
 #: Roles whose maps may be left unread.
 UNREAD = ("normal", "height", "ao")
 
@@ -215,7 +217,15 @@ def _colour(texture_set: TextureSet, role: str) -> NDArray | None:
 def scalar_map(texture_set: TextureSet, role: str) -> NDArray | None:
     """(H, W) in [0, 1] of a map of one quantity at full size, or at one texel."""
     named = texture_set.maps.get(role)
-    return None if named is None else _enlarge(texture_set, np.clip(texture_set.quantity(named), 0.0, 1.0))
+    if named is None:
+        return None
+    values = texture_set.quantity(named)
+    least, most = float(values.min()), float(values.max())
+    if least < -_BEYOND or most > 1.0 + _BEYOND:
+        texture_set.note(
+            f"'{named.path.name}' goes from {least:.3g} to {most:.3g} as {role}, expected 0 to 1: it is cut there."
+        )
+    return _enlarge(texture_set, np.clip(values, 0.0, 1.0))
 
 
 def _enlarge(texture_set: TextureSet, array: NDArray) -> NDArray:

@@ -18,6 +18,8 @@ from brdffit.textures.texture_set import Map, TextureSet
 #: Height range of a height map without a given scale, as a share of the texture's longer side: about the median of the
 #: real sets whose normal maps tell it.
 DEFAULT_HEIGHT_SHARE = 0.02
+#: Largest component of a stored normal: filters that sharpen exceed 1 a little.
+_LARGEST = 2.0
 #: Correlation from which the curl of a normal map is reported as contradicting its name.
 _CONTRADICTS = 0.5
 #: Sources of the normal's Y that measure nothing, as a sentence has them.
@@ -70,10 +72,15 @@ def _check_normals(named: Map, pixels: NDArray, vectors: NDArray, two_channel: b
                 f"'{named.path}' looks like a normal map that was {how} sRGB (red and green have the means {red:.2f} "
                 f"and {green:.2f}), expected linear data with means near 0.50."
             )
+    largest = float(np.abs(vectors).max())
+    if largest > _LARGEST:
+        raise InputError(
+            f"'{named.path}' holds numbers up to {float(pixels.max()):.4g}, expected normals in [-1, 1] or [0, 1]."
+        )
     mean = vectors.reshape(-1, vectors.shape[2]).mean(axis=0, dtype=np.float64)
     z = float(encoding.rebuild_z(vectors[:, :, :2]).mean()) if two_channel else float(mean[2])
     across = float(np.hypot(mean[0], mean[1]))
-    all_zero = not two_channel and float(np.abs(vectors).max()) < encoding.ZERO_LENGTH
+    all_zero = not two_channel and largest < encoding.ZERO_LENGTH
     if (z < 0.25 or across > z) and not all_zero:
         tilt = float(np.degrees(np.arctan2(across, z)))
         raise InputError(

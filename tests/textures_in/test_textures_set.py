@@ -101,6 +101,15 @@ def test_one_channel_of_a_picture_is_a_grey_colour(make_folder) -> None:
     np.testing.assert_allclose(svbrdf.diffuse, np.repeat(colour[..., 1:2], 3, axis=2), atol=1e-6)
 
 
+def test_floats_of_eight_bits_are_told(make_folder) -> None:
+    rough = np.full((48, 64), 128.0)
+    texture_set, svbrdf = read(make_folder(a_NormalGL__png=encoded(NORMAL), a_Roughness__exr=(rough, "float")))
+    assert (roughness_of(svbrdf) == 1.0).all()
+    assert any("goes from 128 to 128 as roughness, expected 0 to 1" in note for note in texture_set.notes)
+    with pytest.raises(InputError, match=r"holds numbers up to 255, expected normals in \[-1, 1\] or \[0, 1\]"):
+        read(make_folder("wide", a_NormalGL__exr=(255.0 * encoded(NORMAL) / encoded(NORMAL).max(), "float")))
+
+
 def test_a_colour_above_one_is_told(make_folder) -> None:
     colour = np.full((48, 64, 3), 0.5)
     colour[3, 5] = 3.0
