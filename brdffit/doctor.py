@@ -229,7 +229,7 @@ def _stored_normals(texture_set: TextureSet, svbrdf: Svbrdf) -> list[Finding]:
     pixels, noise = named.read()
     if pixels.shape[2] < 2:
         return []
-    vectors = encoding.stored_vectors(pixels, named.info.is_float)
+    vectors, _ = named.vectors(pixels)
     found, texels = [], pixels.shape[0] * pixels.shape[1]
     spread = float(vectors[:, :, :2].std())
     moved = moved_by_noise(texture_set)

@@ -12,6 +12,7 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from brdffit.errors import InputError
 from brdffit.svbrdf import Svbrdf
 from brdffit.textures.texture_set import TextureSet
 
@@ -34,6 +35,9 @@ def covered(texture_set: TextureSet, svbrdf: Svbrdf, opacity: NDArray | None, un
 
     Without an opacity map, texels that are black in every map count as unused; maps of ``unread`` roles are not looked
     at.
+
+    Raises:
+        InputError: where opacity is 0 everywhere.
     """
     factor = float(texture_set.factors.get("opacity", 1.0))
     if opacity is not None and not (opacity >= 1.0 - NOTHING).all():
@@ -42,6 +46,9 @@ def covered(texture_set: TextureSet, svbrdf: Svbrdf, opacity: NDArray | None, un
             texture_set.note(f"The opacity's factor of {factor:g} stays with the renderer.")
         alpha = "mask" if texture_set.alpha_cutoff is not None else "blend"
         nothing = opacity <= NOTHING
+        if nothing.all():
+            file = texture_set.maps["opacity"].path
+            raise InputError(f"'{file}' is 0 everywhere as opacity, expected some surface: is it transparency?")
         texture_set.note(
             f"Opacity weighs every map: {1.0 - float(opacity.mean()):.1%} of the surface is not there; the "
             f"{float(nothing.mean()):.1%} of texels without any take the values of their neighbours."

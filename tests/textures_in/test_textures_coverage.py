@@ -11,6 +11,7 @@ from pictures import bumps, encoded, write_image
 
 from brdffit import bake
 from brdffit.colour import decode_srgb
+from brdffit.errors import InputError
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.methods import lobe_method_names
 from brdffit.roughness import perceptual_from_log_tensor
@@ -162,6 +163,12 @@ def test_black_paint_without_a_black_normal_is_no_gutter(make_folder) -> None:
     colour = np.where(X[..., None] < 0, 0.0, GREEN)
     folder = make_folder(a_Color__png=colour, a_NormalGL__png=encoded(NORMAL), a_Roughness__png=np.zeros((SIZE, SIZE)))
     assert read(folder)[1].opacity is None
+
+
+def test_a_surface_that_is_nowhere_is_refused(make_folder) -> None:
+    folder = make_folder(a_NormalGL__png=encoded(NORMAL), a_Opacity__png=np.zeros(NORMAL.shape[:2]))
+    with pytest.raises(InputError, match=r"a_Opacity\.png' is 0 everywhere as opacity, expected some surface"):
+        to_svbrdf(read_texture_set(folder))
 
 
 def test_an_alpha_that_is_no_cut_out_is_named_and_not_used(make_folder) -> None:
