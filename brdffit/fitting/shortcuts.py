@@ -3,6 +3,9 @@
 Its lobe differs from the best one by the order of the fourth moment of the lobes' differences x, so its error exceeds
 the least one by the order of that moment's square. The excess, relative to <T,T>, is estimated as 1.5 E[r^4]^2 with
 r^2 = t1^2 + t2^2 + l^2 / 4; a test compares that with the truth on random footprints.
+
+Under lights with a size, and for losses other than L2, there is no table. But where lobes differ little *as the smallest
+light shows them*, LEAN's lobe, which the search would start from, is as good as the best (``nearly_alike``).
 """
 
 from __future__ import annotations
@@ -10,9 +13,9 @@ from __future__ import annotations
 import math
 
 from brdffit._jit import inline, kernel
-from brdffit.halfangle.closed_forms import STEEPEST_SLOPE
+from brdffit.halfangle.closed_forms import M_X, M_Y, STEEPEST_SLOPE, UU, UV, VV, XX
 from brdffit.halfangle.objective import BOUNDED, HOLDS, PARAMETERS
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, NORMALISATION, SHAPE, SPECULAR, SPREAD, TENSOR
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, MIXTURE, NORMALISATION, SHAPE, SPECULAR, SPREAD, TENSOR
 from brdffit.halfangle.response import ANSWERS, BY_FIRST, OFF_PLANE, OFF_SCALE, ROW, SECOND, THIRD
 
 _SAFETY = 1.5
@@ -193,3 +196,62 @@ def closed_form(lobes, count, grey, kind, low, high, red, green, blue, response,
         error += _own_scales(lobes, count, m1, m2, norm, row, report)
     report[3] = error
     return excess
+
+
+@kernel
+def nearly_alike(lobes, count, moments, light):
+    """E[r^4] of isotropic lobes as a light that adds ``light`` to their alpha^2 shows them; 0.1 times it bounds the
+    relative squared error that LEAN's lobe adds to that of the best.
+
+    r^2 = t^2 + l^2 / 4 with the turn t of a lobe's normal from the mean in widths, the square root of
+    s = mean alpha^2 + ``light``, and l = (alpha^2 - mean alpha^2) / s. Normals spread by E[t^2] = v widen the nearest
+    lobe of one width by c v / 2 in log alpha^2, where c is LEAN's 2, or 3 or 4 for the nearest in L2 of held and of free
+    scale (brdffit.halfangle.response): LEAN is at most v off, which costs 0.15 v^2 at most in the worst case, all on
+    one line, and 0.04 v^2 where c is 3 and normals spread evenly. A spread of widths costs less.
+
+    ``moments``: those of ``footprint_moments`` for the lobes without their SPREAD, which is added here.
+    """
+    s = moments[XX] + light
+    inverse = 1.0 / s
+    bottom = 1.0 / math.sqrt(1.0 + moments[M_X] * moments[M_X] + moments[M_Y] * moments[M_Y])
+    n_x, n_y, n_z = -moments[M_X] * bottom, -moments[M_Y] * bottom, bottom
+    fourth, xx, yy, xy = 0.0, 0.0, 0.0, 0.0
+    for i in range(count):
+        lobe = lobes[i]
+        w = lobe[MIXTURE]
+        d_x, d_y, d_z = lobe[0] - n_x, lobe[1] - n_y, lobe[2] - n_z
+        wider = (lobe[ALPHA_SQUARED] - moments[XX]) * inverse
+        squared = (d_x * d_x + d_y * d_y + d_z * d_z) * inverse + 0.25 * wider * wider
+        fourth += w * squared * squared
+        xx += w * lobe[SPREAD]
+        yy += w * lobe[SPREAD + 1]
+        xy += w * lobe[SPREAD + 2]
+    # SPREAD is twice a covariance, in frames that nearly agree.
+    moments[UU] += 0.5 * xx
+    moments[VV] += 0.5 * yy
+    moments[UV] += 0.5 * xy
+    return (math.sqrt(fourth) + 0.5 * (xx + yy) * inverse) ** 2
+
+
+@kernel
+def diffuse_beside(moment, moments, red, green, blue, light):
+    """A bound of the error of diffuse light (``losses.set_diffuse_error``) that the mean normal of the specular lobes
+    causes, relative to the target's norm under the displayed loss: a lobe of alpha^2 = s and sum of colours C has the
+    peak P = C / (pi s), and its norm is (2 / pi) P^2 pi s / 3 at least, times a third, since C sums three channels, and
+    times the loss's weight at the peak.
+    """
+    bottom = 1.0 / math.sqrt(1.0 + moments[M_X] * moments[M_X] + moments[M_Y] * moments[M_Y])
+    n_x, n_y, n_z = -moments[M_X] * bottom, -moments[M_Y] * bottom, bottom
+    apart, diffuse = 0.0, 0.0
+    for channel in range(3):
+        x, y, z = moment[3 * channel], moment[3 * channel + 1], moment[3 * channel + 2]
+        along = x * n_x + y * n_y + z * n_z
+        apart += max(x * x + y * y + z * z - along * along, 0.0)
+        diffuse += max(along, 0.0)
+    if not apart > 0.0:
+        return 0.0
+    s = moments[XX] + light
+    peak = (red + green + blue) / (math.pi * s)
+    knee = 16.0 / (9.0 * math.pi) * diffuse
+    share = knee / (peak + knee) if knee > 0.0 else 0.0
+    return 2.0 / math.pi**2 * apart / max(2.0 / 9.0 * peak * peak * s * share * math.sqrt(share), 1e-30)

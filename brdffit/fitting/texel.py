@@ -34,7 +34,14 @@ from brdffit.fitting.scoring import (
     target_norm,
 )
 from brdffit.fitting.search import BESIDE, clamp_to_domain, fit_on_nodes, search_on, within_domain
-from brdffit.fitting.shortcuts import FLAT_EXCESS, NOT_KNOWN, closed_form, fitted_error
+from brdffit.fitting.shortcuts import (
+    FLAT_EXCESS,
+    NOT_KNOWN,
+    closed_form,
+    diffuse_beside,
+    fitted_error,
+    nearly_alike,
+)
 from brdffit.fitting.status import (
     CLOSED_FORM,
     CONVERGED,
@@ -45,7 +52,7 @@ from brdffit.fitting.status import (
     POOR,
     REFINED,
 )
-from brdffit.halfangle.albedo import albedo_of_lobes
+from brdffit.halfangle.albedo import albedo_of, albedo_of_lobes
 from brdffit.halfangle.apparent_lobe import (
     add_defensive_lobe,
     add_guard,
@@ -58,6 +65,7 @@ from brdffit.halfangle.closed_forms import (
     LEAN,
     STARTS,
     STEEPEST_SLOPE,
+    XX,
     first_start,
     footprint_moments,
     light_lobes,
@@ -127,6 +135,12 @@ def fit_texel(
     if search.rendered and some:
         report[ALBEDO] = albedo_of_lobes(lobes, count, base.isotropic)
     isotropic = search.free & FREE_ANISOTROPY == 0
+    if sized and some and base.isotropic and search.same_model and not base.has_shape:
+        alike_enough = take_if_alike(
+            count, scratch, search, lights[0, BASE_BLUR], alike, isotropic, base.has_diffuse, red, green, blue
+        )
+        if alike_enough:
+            return FLAT
     lobes_isotropic = see_lobes(base, lights, count, spread, search.cell, scratch)
     count = scratch.counts[0]
     flat = footprint_moments(lobes, count, lobes_isotropic, scratch.moments)
@@ -203,6 +217,39 @@ def fit_texel(
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         report[RESIDUAL] = 1.0
     return status
+
+
+@part
+def take_if_alike(count, scratch, search, light, alike, isotropic, has_diffuse, red, green, blue):
+    """LEAN's lobe into ``scratch.theta`` where the lobes differ so little under the smallest light that the search
+    would gain less than a tenth of what is negligible; returns whether."""
+    lobes, theta, moments, report = scratch.lobes[0], scratch.theta, scratch.moments, scratch.report
+    if not (red > 0.0 and green > 0.0 and blue > 0.0):
+        return False
+    footprint_moments(lobes, count, True, moments)
+    apart = nearly_alike(lobes, count, moments, light)
+    if not apart <= search.negligible:
+        return False
+    if has_diffuse and search.sky > 0.0:
+        if diffuse_beside(scratch.moment, moments, red, green, blue, light) > 0.1 * search.negligible:
+            return False
+    first_start(moments, isotropic, scratch.starts)
+    start = scratch.starts[LEAN]
+    if alike > 0.0:
+        # As in ``prefer_average``: by how much the width of the averaged lobe is off, as the smallest light shows it.
+        wider = 0.5 * (math.exp(start[2]) + math.exp(start[3])) - math.exp(scratch.average[2])
+        wider /= moments[XX] + light
+        if 0.15 * wider * wider <= alike * _ALIKE_FLOOR:
+            start = scratch.average
+    for p in range(PARAMETERS):
+        theta[p] = scratch.best[p] = start[p]
+    clamp_to_domain(theta, search)
+    scale = 1.0
+    if report[ALBEDO] > 0.0:
+        scale = min(max(report[ALBEDO] / max(albedo_of(theta), 0.01), search.scale_low), search.scale_high)
+    report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = scale * red, scale * green, scale * blue
+    report[RESIDUAL] = 0.1 * apart
+    return True
 
 
 @part
