@@ -109,7 +109,8 @@ def _path(problem: Problem, start: NDArray) -> NDArray:
 
     def arguments(most: int) -> tuple:
         return (theta, value, search.free, problem.table, problem.setting, kernels.moments,
-                kernels.log_normalisation, search.tolerance, search.floor, most, search.rescaled, space)  # fmt: skip
+                kernels.log_normalisation, search.tolerance, search.floor, most, search.rescaled, space,
+                math.inf)  # fmt: skip
 
     value = float(problem.value(start))
     minimise.compile(tuple(map(numba_type, arguments(1))))

@@ -34,6 +34,8 @@ _ARMIJO = 1e-4
 _BACKTRACKS = 8
 # Bounds of the factor by which the first step may scale the first matrix.
 _LEAST_SCALE, _MOST_SCALE = 0.2, 5.0
+# Steps after which a search may be given up, and by how much more than its quadratic model promises it could gain.
+_TRIED, _HOPED = 3, 4.0
 # The objective is a sum of a few hundred float32 terms, about 1 in all: a smaller decrease is rounding.
 _NOISE = 5e-7
 
@@ -92,13 +94,14 @@ def first_inverse(theta, free, inverse):
 
 @kernel
 def minimise(
-    theta, value, free, table, setting, moments_kernel, log_normalisation, tolerance, floor, most, rescaled, space,
+    theta, value, free, table, setting, moments_kernel, log_normalisation, tolerance, floor, most, rescaled, space, bar
 ):  # fmt: skip
     """Lower the objective from ``theta`` (6,), in place.
 
     ``space.gradient`` must hold the gradient at theta, and ``value`` the objective there (relative squared error - 1).
     The search stops when the decrease that the quadratic model still predicts is below ``tolerance`` times the error,
-    below ``floor`` (in units of the objective) or below rounding, and after ``most`` steps.
+    below ``floor`` (in units of the objective) or below rounding, and after ``most`` steps; it is given up where the
+    model promises to end above ``bar``, the objective of a better end.
     Returns (value, evaluations, status). The value never rises.
     """
     gradient, trial_gradient, trial = space.gradient, space.trial_gradient, space.trial
@@ -117,6 +120,8 @@ def minimise(
             slope += s * gradient[i]
         if not math.isfinite(slope):
             return value, evaluations, FALLBACK
+        if iteration >= _TRIED and value + _HOPED * 0.5 * slope > bar:
+            return value, evaluations, CONVERGED
         if -0.5 * slope <= max(max(tolerance * (1.0 + value), floor), _NOISE):
             return value, evaluations, CONVERGED
         shift = (yy * step[0] ** 2 + xx * step[1] ** 2 - 2.0 * xy * step[0] * step[1]) / (xx * yy - xy * xy)

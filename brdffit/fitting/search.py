@@ -175,7 +175,7 @@ def search_on(scratch, table, search, moments_kernel, values_kernel, log_normali
     value = evaluate_table(theta, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation)
     _, evaluations, _ = minimise(
         theta, value, search.free, table, setting, moments_kernel, log_normalisation,
-        search.tolerance, search.floor, search.iterations, search.rescaled, space,
+        search.tolerance, search.floor, search.iterations, search.rescaled, space, 1e30,
     )  # fmt: skip
     report[EVALUATIONS] += evaluations + 1
     clamp_to_domain(theta, search)
@@ -183,7 +183,7 @@ def search_on(scratch, table, search, moments_kernel, values_kernel, log_normali
 
 
 @part
-def fit_on_nodes(scratch, table, search, follow, moments_kernel, values_kernel, log_normalisation):
+def fit_on_nodes(scratch, table, search, follow, warm, moments_kernel, values_kernel, log_normalisation):
     """Fit the lobe to a tabulated target; ``scratch.colour`` holds the filtered colour. Returns a status."""
     theta, setting, report, colour = scratch.theta, scratch.setting, scratch.report, scratch.colour
     norm = target_norm(table)
@@ -197,7 +197,7 @@ def fit_on_nodes(scratch, table, search, follow, moments_kernel, values_kernel, 
     sees_diffuse = search.sky > 0.0 and (search.loss == SEEN or search.loss == DISPLAYED)
     set_diffuse_error(table, scratch.moment, norm if sees_diffuse else 0.0, setting[DIFFUSE : DIFFUSE + DIFFUSE_FORM])
     aim(table, colour, report[TARGET_NORM], setting)
-    status = search_from_starts(scratch, table, search, follow, moments_kernel, log_normalisation)
+    status = search_from_starts(scratch, table, search, follow, warm, moments_kernel, log_normalisation)
     report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = colour[0], colour[1], colour[2]
     clamp_to_domain(theta, search)
     settle_scale(theta, table, setting, values_kernel, log_normalisation, search.exponent, scratch.work, report)
@@ -216,13 +216,26 @@ def fit_on_nodes(scratch, table, search, follow, moments_kernel, values_kernel, 
 
 
 @part
-def search_from_starts(scratch, table, search, follow, moments_kernel, log_normalisation):
+def search_from_starts(scratch, table, search, follow, warm, moments_kernel, log_normalisation):
     """BFGS from the first ``follow`` starts, and from further ones while the best end is poor.
 
-    The best end is left in ``scratch.theta``; returns its status.
+    The best end is left in ``scratch.theta``; returns its status. If ``warm``, the search starts from there first, and
+    other starts are given up as soon as they promise no more.
     """
     starts, theta, space, setting = scratch.starts, scratch.theta, scratch.space, scratch.setting
     best_value, best_status = 1e30, FALLBACK
+    sized = table.lights[0, LOBE_BLUR] > 0.0
+    if warm:
+        value = evaluate_table(
+            theta, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation
+        )
+        scratch.report[EVALUATIONS] += 1
+        if math.isfinite(value):
+            best_value, evaluations, best_status = minimise(
+                theta, value, search.free, table, setting, moments_kernel, log_normalisation,
+                search.tolerance, search.floor, search.iterations, search.rescaled, space, 1e30,
+            )  # fmt: skip
+            scratch.report[EVALUATIONS] += evaluations
     for i in range(STARTS):
         # A start too wide for its target lies on a plateau and "converges" at once, at a large error: try the next.
         if i >= follow and 1.0 + best_value < search.poor:
@@ -235,7 +248,7 @@ def search_from_starts(scratch, table, search, follow, moments_kernel, log_norma
             clamp_to_domain(starts[i], search)
         for p in range(PARAMETERS):
             scratch.start[p] = starts[i, p]
-            if i == 0:
+            if i == 0 and not best_value < 1e30:
                 theta[p] = starts[i, p]
         value = evaluate_table(
             scratch.start, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation
@@ -243,9 +256,10 @@ def search_from_starts(scratch, table, search, follow, moments_kernel, log_norma
         scratch.report[EVALUATIONS] += 1
         if not math.isfinite(value):
             continue
+        bar = best_value if sized else 1e30
         value, evaluations, status = minimise(
             scratch.start, value, search.free, table, setting, moments_kernel, log_normalisation,
-            search.tolerance, search.floor, search.iterations, search.rescaled, space,
+            search.tolerance, search.floor, search.iterations, search.rescaled, space, bar,
         )  # fmt: skip
         scratch.report[EVALUATIONS] += evaluations
         if value < best_value:
@@ -268,6 +282,7 @@ def search_from_peaks(scratch, table, search, best_value, best_status, moments_k
     """
     theta, start, space, setting = scratch.theta, scratch.start, scratch.space, scratch.setting
     nodes, trial = segment(table, 0), scratch.starts[PEAK]
+    sized = table.lights[0, LOBE_BLUR] > 0.0
     red, green, blue, weight = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT]
     narrow = math.log(max(0.5 * scratch.moments[SHRINK] * (scratch.moments[XX] + scratch.moments[YY]), 1e-12))
     apart = _APART * (math.exp(narrow) + table.lights[0, LOBE_BLUR])
@@ -306,9 +321,10 @@ def search_from_peaks(scratch, table, search, best_value, best_status, moments_k
         scratch.report[EVALUATIONS] += len(_WIDER) + 1
         if not math.isfinite(value):
             continue
+        bar = best_value if sized else 1e30
         value, evaluations, status = minimise(
             start, value, search.free, table, setting, moments_kernel, log_normalisation,
-            search.tolerance, search.floor, search.iterations, search.rescaled, space,
+            search.tolerance, search.floor, search.iterations, search.rescaled, space, bar,
         )  # fmt: skip
         scratch.report[EVALUATIONS] += evaluations
         if value < best_value:

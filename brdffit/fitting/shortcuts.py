@@ -4,8 +4,8 @@ Its lobe differs from the best one by the order of the fourth moment of the lobe
 the least one by the order of that moment's square. The excess, relative to <T,T>, is estimated as 1.5 E[r^4]^2 with
 r^2 = t1^2 + t2^2 + l^2 / 4; a test compares that with the truth on random footprints.
 
-Under lights with a size, and for losses other than L2, there is no table. But where lobes differ little *as the smallest
-light shows them*, LEAN's lobe, which the search would start from, is as good as the best (``nearly_alike``).
+Under lights with a size, and for losses other than L2, there is no table. But where lobes differ little *as the
+smallest light shows them*, LEAN's lobe, which the search would start from, is as good as the best (``nearly_alike``).
 """
 
 from __future__ import annotations
@@ -200,14 +200,14 @@ def closed_form(lobes, count, grey, kind, low, high, red, green, blue, response,
 
 @kernel
 def nearly_alike(lobes, count, moments, light):
-    """E[r^4] of isotropic lobes as a light that adds ``light`` to their alpha^2 shows them; 0.1 times it bounds the
+    """E[r^4] of isotropic lobes as a light that adds ``light`` to their alpha^2 shows them. A tenth of it bounds the
     relative squared error that LEAN's lobe adds to that of the best.
 
-    r^2 = t^2 + l^2 / 4 with the turn t of a lobe's normal from the mean in widths, the square root of
+    r^2 = t^2 + l^2 / 4 with the turn t of a lobe's normal from the mean in widths, sqrt(s) with
     s = mean alpha^2 + ``light``, and l = (alpha^2 - mean alpha^2) / s. Normals spread by E[t^2] = v widen the nearest
-    lobe of one width by c v / 2 in log alpha^2, where c is LEAN's 2, or 3 or 4 for the nearest in L2 of held and of free
-    scale (brdffit.halfangle.response): LEAN is at most v off, which costs 0.15 v^2 at most in the worst case, all on
-    one line, and 0.04 v^2 where c is 3 and normals spread evenly. A spread of widths costs less.
+    lobe by c v / 2 in log alpha^2, where c is LEAN's 2, or 3 or 4 for the nearest in L2 of held and of free scale
+    (brdffit.halfangle.response). So LEAN's is at most v off, which costs 0.15 v^2 (brdffit.fitting.bfgs); half that
+    where c is 3. Widths that spread by l cost less.
 
     ``moments``: those of ``footprint_moments`` for the lobes without their SPREAD, which is added here.
     """

@@ -18,7 +18,10 @@ POOR = 11
 #: Name and meaning of each status, with advice where there is any; ``Level.status`` holds the index.
 STATUSES: tuple[tuple[str, str], ...] = (
     ("kept", "The texel was left as authored."),
-    ("flat", "All lobes of the footprint are alike: the answer is exact and nothing was searched."),
+    (
+        "flat",
+        "All lobes of the footprint are alike, or nearly so under lights with a size: nothing needed to be searched.",
+    ),
     ("converged", "The search converged."),
     ("refined", "The quadrature's own error estimate was too large; more nodes were used and the search converged."),
     ("iteration limit", "The search was stopped at its iteration limit; try --quality fine."),

@@ -168,12 +168,12 @@ def fit_texel(
     spare = spared(search.floor, rules[0].values.shape[0])
     if not crowded and fitted_error(expected) <= spare:
         tier = 0
-    guards, mending = 0, False
+    guards, mending, warm = 0, False, False
     while True:
         # A texel that needs more nodes often has separate peaks: the highest gets a search of its own.
         follow = STARTS if mending else 2 if tier > search.usual else 1
         status = fit_by_rule(
-            base, lobes_isotropic, some, scratch, rules[tier], search, follow,
+            base, lobes_isotropic, some, scratch, rules[tier], search, follow, warm,
             tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
         )  # fmt: skip
         hidden = abs(report[COVERAGE] - 1.0) > _HIDDEN
@@ -183,6 +183,8 @@ def fit_texel(
             doubtful = True
             for p in range(PARAMETERS):
                 scratch.starts[LEAN, p] = theta[p]
+        # More nodes refine what was found, but a lobe that hides from the nodes is none to start from.
+        warm = sized and not hidden
         if hidden and guards < GUARDS:
             for s in range(lights.shape[0]):
                 own, many = scratch.lobes[s], scratch.counts[s]
@@ -222,16 +224,16 @@ def fit_texel(
 @part
 def take_if_alike(count, scratch, search, light, alike, isotropic, has_diffuse, red, green, blue):
     """LEAN's lobe into ``scratch.theta`` where the lobes differ so little under the smallest light that the search
-    would gain less than a tenth of what is negligible; returns whether."""
+    would gain less than what is negligible; returns whether."""
     lobes, theta, moments, report = scratch.lobes[0], scratch.theta, scratch.moments, scratch.report
     if not (red > 0.0 and green > 0.0 and blue > 0.0):
         return False
     footprint_moments(lobes, count, True, moments)
-    apart = nearly_alike(lobes, count, moments, light)
-    if not apart <= search.negligible:
+    loss = 0.1 * nearly_alike(lobes, count, moments, light)
+    if not loss <= search.negligible:
         return False
     if has_diffuse and search.sky > 0.0:
-        if diffuse_beside(scratch.moment, moments, red, green, blue, light) > 0.1 * search.negligible:
+        if diffuse_beside(scratch.moment, moments, red, green, blue, light) > search.negligible:
             return False
     first_start(moments, isotropic, scratch.starts)
     start = scratch.starts[LEAN]
@@ -248,7 +250,7 @@ def take_if_alike(count, scratch, search, light, alike, isotropic, has_diffuse, 
     if report[ALBEDO] > 0.0:
         scale = min(max(report[ALBEDO] / max(albedo_of(theta), 0.01), search.scale_low), search.scale_high)
     report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = scale * red, scale * green, scale * blue
-    report[RESIDUAL] = 0.1 * apart
+    report[RESIDUAL] = loss
     return True
 
 
@@ -348,10 +350,11 @@ def fall_back(scratch, table, search, values_kernel, log_normalisation):
 
 @part
 def fit_by_rule(
-    base, lobes_isotropic, some, scratch, table, search, follow,
+    base, lobes_isotropic, some, scratch, table, search, follow, warm,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation,
 ):  # fmt: skip
-    """Place the nodes of one rule, fill its table, fit from the first ``follow`` starts at least. Returns a status."""
+    """Place the nodes of one rule, fill its table, fit from the first ``follow`` starts at least, and
+    from ``scratch.theta`` if ``warm``. Returns a status."""
     for s in range(table.lights.shape[0]):
         lobes, count, nodes = scratch.lobes[s], scratch.counts[s], segment(table, s)
         frame_lobes(lobes, count, lobes_isotropic)
@@ -368,7 +371,7 @@ def fit_by_rule(
         colour[k] = scratch.report[FILTERED + k]
     if not some or colour[0] + colour[1] + colour[2] <= 0.0:
         colour[0] = colour[1] = colour[2] = 1.0
-    status = fit_on_nodes(scratch, table, search, follow, moments_kernel, values_kernel, log_normalisation)
+    status = fit_on_nodes(scratch, table, search, follow, warm, moments_kernel, values_kernel, log_normalisation)
     if search.loss == L1 and status != FALLBACK:
         report = scratch.report
         for _ in range(ROUNDS):

@@ -42,7 +42,7 @@ def solve_ours(problem: Problem, start: NDArray) -> NDArray:
     space.gradient[:] = problem.gradient
     arguments = (
         theta, float(value), search.free, problem.table, problem.setting, kernels.moments, kernels.log_normalisation,
-        search.tolerance, 0.0, search.iterations, search.rescaled, space,
+        search.tolerance, 0.0, search.iterations, search.rescaled, space, math.inf,
     )  # fmt: skip
     # Compiled and looked up once: typing the arguments takes far longer than the search.
     run = _COMPILED.get(id(kernels.moments)) or _COMPILED.setdefault(id(kernels.moments), compiled(minimise, arguments))
