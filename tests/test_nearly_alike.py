@@ -1,4 +1,4 @@
-"""Footprints whose lobes nearly agree under the smallest light take LEAN's lobe, as good as any that is searched for."""
+"""Footprints whose lobes nearly agree under the smallest light take LEAN's lobe, as good as a lobe searched for."""
 
 import numpy as np
 import pytest
