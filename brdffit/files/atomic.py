@@ -30,8 +30,9 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 _STALE_SECONDS = 24 * 3600.0
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file in full or not at all; its folder is made.
+@contextlib.contextmanager
+def fresh_file(path: Path) -> Iterator[Path]:
+    """A file to write, which takes the place of ``path`` when the block ends without an error; its folder is made.
 
     Raises:
         OutputError: when it cannot be written; then what was there still is.
@@ -39,13 +40,21 @@ def write_text(path: Path, text: str) -> None:
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        fresh.write_text(text, encoding="utf-8")
+        yield fresh
         fresh.replace(path)
     except OSError as error:
         raise OutputError(f"'{path}' could not be written: {error.strerror or error}.") from error
+    except OutputError as error:
+        raise OutputError(str(error).replace(str(fresh), str(path))) from error
     finally:
         with contextlib.suppress(OSError):
             fresh.unlink()
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file as ``fresh_file`` does."""
+    with fresh_file(path) as fresh:
+        fresh.write_text(text, encoding="utf-8")
 
 
 def first_other(folder: Path, ours: Collection[str]) -> str | None:

@@ -205,7 +205,7 @@ class _Remote:
 
     def write(self, name: str, text: str) -> None:
         try:
-            self.files.pipe_file(f"{self.root}/{name}", text.encode())
+            self.files.pipe_file(f"{self.root}/{name}", text.encode("utf-8", "backslashreplace"))
         except OSError as error:
             raise OutputError(f"'{self.address}/{name}' could not be written: {error}.") from error
 

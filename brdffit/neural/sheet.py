@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from brdffit.colour import encode_srgb
-from brdffit.errors import OutputError
+from brdffit.files.atomic import fresh_file
 from brdffit.files.image_io import write_png
 from brdffit.neural.kernels.material import QUERY
 from brdffit.neural.material import NeuralMaterial
@@ -82,7 +81,8 @@ def draw_sheet(material: NeuralMaterial, answers: Answers | None, path: Path) ->
             title += f"  {1e3 * error:.2f}e-3"
         columns.append([each.reshape(_SIDE, _SIDE, 3) for each in shown])
         titles.append(title)
-    _write(path, _composed(columns, titles))
+    with fresh_file(path) as fresh:
+        write_png(fresh, _composed(columns, titles))
     return figures
 
 
@@ -102,16 +102,3 @@ def _composed(columns: list[list[NDArray]], titles: list[str]) -> NDArray:
         ImageDraw.Draw(label).text((4, 2), name, (220, 220, 220), font)
         canvas.paste(label.rotate(90, expand=True), (0, _TITLE + y * pitch))
     return np.asarray(canvas)
-
-
-def _write(path: Path, pixels: NDArray) -> None:
-    """Write a PNG in full or not at all."""
-    fresh = path.with_name(f".{path.stem}.{os.getpid()}.png")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_png(fresh, pixels)
-        fresh.replace(path)
-    except OSError as error:
-        raise OutputError(f"'{path}' could not be written: {error.strerror or error}.") from error
-    finally:
-        fresh.unlink(missing_ok=True)

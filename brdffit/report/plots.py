@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import OutputError
+from brdffit.files.atomic import fresh_file
 from brdffit.report.records import Comparison, LobeView, SetResult, unpack
 from brdffit.report.summary import DISTANCES, GROUPS, Row, figure_of, fit_name, view_of
 
@@ -131,15 +132,8 @@ def save_landscape(landscape: Any, title: str, path: str | os.PathLike[str]) -> 
     """
     path = Path(path)
     kind = check_picture(path)
-    fresh = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with fresh_file(path) as fresh:
         landscape_figure(landscape, title).savefig(fresh, format=kind, dpi=150)
-        fresh.replace(path)
-    except OSError as error:
-        raise OutputError(f"'{path}' could not be written: {error.strerror or error}.") from error
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def _power(alpha: Any) -> Any:

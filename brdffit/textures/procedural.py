@@ -5,7 +5,6 @@ A recipe (``data/*.toml``) names a generator, a seed and parameters. All sets ti
 
 from __future__ import annotations
 
-import os
 import sys
 import tomllib
 from collections.abc import Callable
@@ -17,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.colour import encode_srgb
-from brdffit.errors import BrdffitError, InputError, OutputError, UnknownNameError
+from brdffit.errors import BrdffitError, InputError, UnknownNameError
+from brdffit.files.atomic import fresh_file
 from brdffit.files.image_io import write_png
 from brdffit.textures.generators import GENERATORS, unit_range
 
@@ -85,10 +85,6 @@ def make_set(name: str, folder: str | Path, size: int | None = None) -> Path:
     recipe, generator = read_recipe(RECIPES / f"{name}.toml")
     maps = generator.make(size or recipe.size, np.random.default_rng(recipe.seed))
     folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"'{folder}' cannot be made: {error.strerror}.") from error
     stem = "".join(part.capitalize() for part in name.split("-"))
     pictures = {
         "Color": _with_alpha(_codes(encode_srgb(maps.color), 255), maps.opacity),
@@ -100,15 +96,8 @@ def make_set(name: str, folder: str | Path, size: int | None = None) -> Path:
     for role, pixels in pictures.items():
         if pixels is None:
             continue
-        final = folder / f"{stem}_{role}.png"
-        part = folder / f".{stem}_{role}.part.png"
-        try:
-            write_png(part, pixels)
-            os.replace(part, final)
-        except OSError as error:
-            raise OutputError(f"'{final}' could not be written: {error.strerror}.") from error
-        finally:
-            part.unlink(missing_ok=True)
+        with fresh_file(folder / f"{stem}_{role}.png") as fresh:
+            write_png(fresh, pixels)
     return folder
 
 

@@ -141,7 +141,7 @@ def test_what_cannot_be_made_is_told(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'glossy-tiles'"):
         make_set("glossy-tile", tmp_path)
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="cannot be made"):
+    with pytest.raises(OutputError, match="could not be written"):
         make_set("glossy-tiles", tmp_path / "file" / "set", 8)
     (tmp_path / "bad.toml").write_text((RECIPES / "bumpy-mirror.toml").read_text().replace("slope =", "slop ="))
     with pytest.raises(InputError, match=r"bad\.toml' is not as expected: .*slop"):
