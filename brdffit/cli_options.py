@@ -64,7 +64,10 @@ def known(kind: str) -> Callable[[click.Context, click.Parameter, str | None], s
         own_class = kind == "method" and ":" in (name or "")
         if name is not None and not own_class:
             names = {"method": method_names, "model": model_names, "preset": preset_names}[kind]()
-            one_of(kind, name, [*names, *BY_NAME] if kind == "method" else names)
+            of_method = BY_NAME if kind == "method" else ()
+            if name in of_method and ctx.command.name != "methods":
+                raise click.BadParameter(f"`brdffit {name} train SET` makes what '{name}' learns, a bake does not.")
+            one_of(kind, name, [*names, *of_method])
         return name
 
     return check

@@ -174,8 +174,9 @@ def test_what_is_no_method_is_told(method, sentence):
 
 
 def test_a_method_that_runs_only_when_named_is_known(run, baked):
-    assert run("bake", "set", "--method", "neural").exit_code == 0
-    assert baked.arguments["method"] == "neural" and "neural" not in run("methods", "--plain").stdout
+    refused = run("bake", "set", "--method", "neural")
+    assert refused.exit_code == 2 and "`brdffit neural train SET` makes what 'neural' learns" in refused.stderr
+    assert baked.arguments is None and "neural" not in run("methods", "--plain").stdout
     assert "neural.file" in run("methods", "neural", "--plain").stdout
 
 
