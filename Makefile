@@ -62,9 +62,10 @@ compare: data/sets/made
 tradeoff: data/sets/made
 	$(BIN)/brdffit tradeoff $(or $(SETS),data/sets/*/) -o tradeoff $(OPTIONS)
 
-# The shipped weights were made so, from CC0 sets with four held out. Of one core: 20 s, 2 minutes, and 50 minutes.
+# The shipped weights were made so, from CC0 sets with four held out. Of one core: 2.5 minutes, most of it to make the
+# data, 2 minutes, and 50 minutes.
 learn: data/sets/made
-	$(BIN)/brdffit learn learned $(TRAIN) $(HELD_OUT:%=--held-out %) -o out/weights/learned-ggx.npz --steps 2000
+	$(BIN)/brdffit learn learned $(TRAIN) $(HELD_OUT:%=--held-out %) -o out/weights/learned-ggx.npz --steps 1200
 	$(BIN)/brdffit learn mipnet $(TRAIN) $(HELD_OUT:%=--held-out %) -o out/weights/mipnet-ggx.npz --steps 20000
 	$(BIN)/brdffit learn latent $(TRAIN) $(HELD_OUT:%=--held-out %) -o out/weights/latent.npz --steps 310000
 

@@ -10,14 +10,21 @@ from click.testing import CliRunner
 from brdffit.cli import main
 from brdffit.colour import LUMINANCE
 from brdffit.errors import InputError
+from brdffit.fitting.batch import fit_texels, make_output, model_kernels
+from brdffit.fitting.method import level_rules, search_settings
+from brdffit.fitting.presets import get_quality
+from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of
+from brdffit.halfangle.lights import sizes_of
 from brdffit.halfangle.quadrature import ALPHA_SQUARED, LOBE_COLUMNS, MIXTURE
 from brdffit.learned import residual
 from brdffit.learned.crops import LEVELS, POINTS, SIDE, TEXELS, crop_of, noise_mask, trilinear
-from brdffit.learned.data import VARIANTS, footprints, varied
+from brdffit.learned.data import VARIANTS, footprints
 from brdffit.learned.kernels import moments as m
+from brdffit.learned.kernels.displayed import BOUNDS, LIGHTS, shown_errors
 from brdffit.learned.kernels.footprints import COLOUR, DIFFUSE, ENERGY, PLANE, SUMS, sum_blocks
 from brdffit.learned.kernels.interpolation import LIFTED, lift_rows, spread_rows
+from brdffit.learned.kernels.saying import OUTPUTS
 from brdffit.learned.kernels.tables import errors_of
 from brdffit.learned.latent import (
     INPUTS,
@@ -35,8 +42,10 @@ from brdffit.learned.latent_training import learn_crop, pooled, spread_back
 from brdffit.learned.method import Learned
 from brdffit.learned.mipnet_method import Mipnet
 from brdffit.learned.network import SHIPPED, ResidualNetwork, difference, load_network
-from brdffit.learned.residual_training import loss_of
+from brdffit.learned.residual_training import loss_of, shown_error_of
+from brdffit.learned.variants import plates, stretched, studs, varied, with_edges
 from brdffit.methods import Material, get_method
+from brdffit.models import get_model
 from brdffit.nets.adam import Adam
 from brdffit.roughness import clipped_log
 from brdffit.svbrdf import Svbrdf
@@ -148,7 +157,9 @@ def test_turning_an_axis_about_flips_the_odd_features():
 def test_no_correction_is_the_closed_form_and_lobes_alike_take_none():
     lobes = some_lobes()[0]
     features, closed = m.features_of(moments_of(lobes))
-    theta = residual.compose(closed, np.zeros((1, 5)))
+    shut = closed.copy()
+    shut[0, m.GATE] = -100.0
+    theta = residual.compose(shut, np.zeros((1, residual.CORRECTIONS)))
     np.testing.assert_allclose(theta[0, 2:], closed[0, m.LOG_TENSOR : m.TURN])
     np.testing.assert_allclose(theta[0, :2], -closed[0, :2] / closed[0, 2], rtol=1e-12)
     assert 0.0 < difference(features)[0] < 1.0
@@ -157,52 +168,126 @@ def test_no_correction_is_the_closed_form_and_lobes_alike_take_none():
     assert difference(flat)[0] < 1e-6
 
 
+def test_the_second_closed_form_is_the_lobe_of_the_flat_part():
+    """Three quarters flat and sharp, a quarter steep bevels: LEAN's lobe is far too wide."""
+    lobes, _, _, weight = some_lobes(8)
+    lobes[:, MIXTURE] = weight
+    lobes[:6, :3], lobes[:6, ALPHA_SQUARED] = [0.01, -0.02, math.sqrt(1 - 0.0005)], 0.004
+    lobes[6, :3], lobes[7, :3] = [0.6, 0.0, 0.8], [0.0, -0.6, 0.8]
+    lobes[6:, ALPHA_SQUARED] = 0.004
+    lobes[:6, MIXTURE], lobes[6:, MIXTURE] = 0.75 / 6, 0.125
+    features, closed = m.features_of(moments_of(lobes))
+    # A thousandth of all lobes joins, whose variance is 0.03.
+    np.testing.assert_allclose(closed[0, : m.FIRST] + closed[0, m.OTHER : m.OTHER + 3], lobes[0, :3], atol=1e-3)
+    tensor = closed[0, m.LOG_TENSOR : m.TURN] + closed[0, m.OTHER + 3 : m.OTHER + 6]
+    np.testing.assert_allclose(tensor, [math.log(0.004), math.log(0.004), 0.0], atol=0.05)
+    assert closed[0, m.LOG_TENSOR] > math.log(0.04) and closed[0, m.GATE] > 3.0
+    within = max(1.0 - m.NARROW * 0.0005, 0.0) ** 2
+    assert features[0, m.FLAT] == pytest.approx(math.log(0.75 * within + m.OTHERS), abs=1e-6)
+
+
+def test_the_closed_forms_of_lobes_alike_are_the_same():
+    """Flat, tilted within the window and beyond it, round and stretched: the gate has nothing to choose."""
+    lobes = some_lobes()[0]
+    for normal in ([0.0, 0.0, 1.0], [0.1, 0.05, math.sqrt(1 - 0.0125)], [0.0, 0.6, 0.8]):
+        lobes[:, :3], lobes[:, ALPHA_SQUARED] = normal, 0.05
+        closed = m.features_of(moments_of(lobes))[1]
+        np.testing.assert_allclose(closed[0, m.OTHER : m.GATE], 0.0, atol=1e-7)
+
+
 @pytest.fixture(scope="module")
-def table():
-    return footprints(bumpy(), 2, 96, np.random.default_rng(5))
+def glazed():
+    """Bumps that reflect diffuse light too."""
+    base = bumpy()
+    return base.replace(diffuse=np.full_like(base.diffuse, 0.2))
+
+
+@pytest.fixture(scope="module")
+def data(glazed):
+    return footprints(glazed, 2, 96, np.random.default_rng(5))
+
+
+@pytest.fixture(scope="module")
+def table(data):
+    return data.point
 
 
 def test_gradient_of_the_correction(table):
     """The objective's own gradient, pulled back, against differences of the error."""
     rng = np.random.default_rng(6)
     _, closed = m.features_of(table.moments)
-    index, d = np.arange(len(table)), rng.normal(0.0, 0.3, (len(table), 5))
+    index, d = np.arange(len(table)), rng.normal(0.0, 0.3, (len(table), residual.CORRECTIONS))
     found = errors_of(table, index, residual.compose(closed, d))
     gradient = residual.pull_back(closed, d, found.gradient)
     step = 1e-3
-    for k in range(5):
-        by = np.eye(5)[k] * step
+    for k in range(residual.CORRECTIONS):
+        by = np.eye(residual.CORRECTIONS)[k] * step
         high, low = (errors_of(table, index, residual.compose(closed, d + sign * by)).error for sign in (1, -1))
         np.testing.assert_allclose((high - low) / (2 * step), gradient[:, k], atol=1e-3)
 
 
-def test_the_scale_s_loss_is_least_at_the_best_scale(table):
-    _, closed = m.features_of(table.moments)
-    index = np.arange(len(table))
-    best = errors_of(table, index, residual.compose(closed, np.zeros((len(table), 5)))).scale
-    out = np.zeros((len(table), 6))
-    for shift in (-0.1, 0.1):
-        out[:, 5] = np.log(best / table.colour) + shift
-        assert (np.sign(loss_of(table, index, closed, out)[1][:, 5]) == np.sign(shift)).all()
+def test_gradient_of_the_error_on_a_screen(data):
+    rng = np.random.default_rng(6)
+    _, closed = m.features_of(data.point.moments)
+    index, step = np.arange(len(data)), 1e-3
+    theta = residual.compose(closed, rng.normal(0.0, 0.3, (len(data), residual.CORRECTIONS)))
+    found = shown_errors(data.shown, index, theta)
+    for k in range(5):
+        by = np.eye(5)[k] * step
+        high, low = (shown_errors(data.shown, index, theta + sign * by).error for sign in (1, -1))
+        np.testing.assert_allclose((high - low) / (2 * step), found.gradient[:, k], atol=1e-3, rtol=1e-3)
+    assert found.scale.min() >= BOUNDS[0] and found.scale.max() <= BOUNDS[1]
 
 
-def test_an_untrained_network_is_the_closed_form_and_training_beats_it(table):
+def test_the_error_on_a_screen_is_that_of_the_default_fit(glazed, data):
+    """The fit's lobes on other nodes: near the fit's own residual, and no closed form is better."""
+    level, quality, model = 2, get_quality("draft"), get_model("ggx")
+    side, index, base = 16, np.arange(len(data)), base_of(glazed)
+    columns, rows = np.random.default_rng(5).integers(0, side, (2, len(data)))
+    lights = sizes_of(LIGHTS, model.blur, model.blur)
+    rules = level_rules(get_pixel_filter("box"), glazed.size, (side, side), level, quality, lights=lights)
+    output = make_output(len(data))
+    search = search_settings(get_method("bfgs").options(), quality, base, model, model)
+    fit_texels(base, rules, columns, rows, search, output, model_kernels("ggx", "ggx"))
+    slopes = -output.normal[:, :2] / output.normal[:, 2:]
+    theta = np.concatenate([slopes, output.log_roughness], axis=1).astype(np.float64)
+    found = shown_errors(data.shown, index, theta)
+    assert found.error.mean() == pytest.approx(output.residual.mean(), rel=0.1)
+    scale = output.specular.sum(axis=1) / 1.5  # of a base whose colour is 0.5
+    assert np.abs(found.scale - scale).mean() < 0.02  # the noise of 48 nodes
+    _, closed = m.features_of(data.point.moments)
+    plain = shown_errors(data.shown, index, residual.compose(closed, np.zeros((len(data), residual.CORRECTIONS))))
+    assert found.error.mean() < plain.error.mean()
+
+
+def test_the_scale_s_loss_is_least_at_the_default_fit_s_scale(data):
+    _, closed = m.features_of(data.point.moments)
+    index, out = np.arange(len(data)), np.zeros((len(data), OUTPUTS))
+    best = shown_errors(data.shown, index, residual.compose(closed, out[:, : residual.CORRECTIONS])).scale
+    for shift in (-0.02, 0.02):
+        out[:, -1] = np.log(best) + shift
+        assert (np.sign(loss_of(data, index, closed, out)[1][:, -1]) == np.sign(shift)).all()
+
+
+def test_an_untrained_network_is_the_closed_form_and_training_beats_it(data):
+    table = data.point
     rng = np.random.default_rng(7)
     network = ResidualNetwork((32,), rng)
-    features, closed = m.features_of(table.moments)
+    features, closed = m.features_of(table.moments, data.shown.glow)
     network.cover(features)
     np.testing.assert_allclose(
-        network.predict(table.moments).theta, residual.compose(closed, np.zeros((len(table), 5)))
+        network.predict(table.moments, data.shown.glow).theta,
+        residual.compose(closed, np.zeros((len(table), residual.CORRECTIONS))),
     )
     adam, index = Adam(network.chain.weights.size), np.arange(len(table))
     first = last = 0.0
     for step in range(150):
         out = network.chain.forward(network.normalised(features), keep=True)
-        last, gradient = loss_of(table, index, closed, out.astype(float))
+        last, gradient = loss_of(data, index, closed, out.astype(float))
         first = first if step else last
         network.chain.backward((gradient / len(table)).astype(np.float32))
         adam.step(network.chain.weights, network.chain.gradient, 3e-3)
-    assert last < first - 0.3  # 1.3 dB
+    assert last < first - 0.15  # 0.6 dB
 
 
 def test_normals_are_lifted_and_pulled_back():
@@ -393,7 +478,7 @@ def test_variants_of_an_anisotropic_set_keep_to_the_range():
     tensor = np.broadcast_to(np.array([-6.2, -6.2, 6.0], np.float32), (4, 4, 3))  # eigenvalues e^-0.2 and e^-12.2
     flat = np.zeros((4, 4, 3), np.float32)
     svbrdf = Svbrdf(flat + np.array([0, 0, 1], np.float32), tensor, flat + 0.5, flat)
-    for roughness, steepness in VARIANTS:
+    for roughness, steepness, _ in VARIANTS:
         values = np.linalg.eigvalsh(varied(svbrdf, roughness, steepness).log_roughness[0, 0][[[0, 2], [2, 1]]])
         assert values.max() < 1e-5 and values.min() > 4 * math.log(0.045) - 1e-5
     # Isotropic ones are what they were: clipped on the diagonal, to the bit.
@@ -440,13 +525,14 @@ class TestMethods:
 
 
 def test_the_shipped_network_beats_its_closed_form():
-    from brdffit.learned.residual_training import error_of
-
     network, _ = load_network()
-    table = footprints(bumpy(128, seed=20, steepness=0.15), 2, 200, np.random.default_rng(21))
-    _, closed = m.features_of(table.moments)
-    before = errors_of(table, np.arange(len(table)), residual.compose(closed, np.zeros((len(table), 5)))).error
-    assert error_of(network, table).mean() < 0.8 * before.mean()  # 1 dB
+    data = footprints(bumpy(128, seed=20, steepness=0.15), 2, 200, np.random.default_rng(21))
+    _, closed = m.features_of(data.point.moments)
+    plain = residual.compose(closed, np.zeros((len(data), residual.CORRECTIONS)))
+    before = shown_errors(data.shown, np.arange(len(data)), plain).error
+    # LEAN's lobe is near the best for normals that are spread evenly: 0.3 dB are left. (By the half-angle error it was
+    # 1 dB, by lobes whose glow beside the highlight was too dark on a screen.)
+    assert shown_error_of(network, data).mean() < 0.95 * before.mean()
 
 
 def test_the_latent_decodes_either_model_of_either_base():
@@ -485,7 +571,9 @@ def test_what_is_said_in_one_pass_is_what_the_network_says(monkeypatch):
         columns, rows = (p.reshape(-1) for p in np.meshgrid(np.arange(side), np.arange(side)))
         sums = np.zeros((side * side, SUMS))
         sum_blocks(base, columns << level, rows << level, 1 << level, sums)
-        said = network.predict(sums[:, : m.MOMENTS] / sums[:, ENERGY : ENERGY + 1])
+        diffuse = np.linalg.norm(sums[:, DIFFUSE:].reshape(-1, 3, 3), axis=2).sum(axis=1)
+        glows = np.log(diffuse / sums[:, COLOUR : COLOUR + 3].sum(axis=1) + m.DARK)
+        said = network.predict(sums[:, : m.MOMENTS] / sums[:, ENERGY : ENERGY + 1], glows)
         fine = said.covered
         assert fine.mean() > 0.5
         lobes = pyramid[level].svbrdf
@@ -495,6 +583,38 @@ def test_what_is_said_in_one_pass_is_what_the_network_says(monkeypatch):
         np.testing.assert_allclose(lobes.log_roughness.reshape(-1, 3)[inside], said.theta[inside, 2:], atol=2e-5)
         colour = sums[:, COLOUR : COLOUR + 3] * said.factor[:, None]
         np.testing.assert_allclose(lobes.specular.reshape(-1, 3)[fine], colour[fine], rtol=1e-5, atol=1e-7)
+
+
+def test_plates_and_studs_are_flat_with_steep_edges_and_tile():
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        for make in (plates, studs):
+            slopes = make((96, 128), rng)
+            steep = np.hypot(*slopes.transpose(2, 0, 1))
+            assert 0.4 < (steep < 0.01 * steep.max()).mean() < 1.0 and 0.1 < steep.max() < 12.5, (seed, make)
+        # Bevels on both sides of a joint lean apart, and the border is no joint of its own: level in the mean.
+        slopes = plates((192, 192), rng)
+        assert np.abs(slopes.mean(axis=(0, 1))).max() < 0.1 * np.abs(slopes).max()
+
+
+def test_stretched_lobes_have_the_ratio_and_the_determinant():
+    base = bumpy(16, roughness=(0.4, 0.5))
+    stretched_base = stretched(base, 3.0)
+    tensors = stretched_base.log_roughness[..., [0, 2, 2, 1]].reshape(16, 16, 2, 2)
+    values = np.linalg.eigvalsh(tensors)
+    np.testing.assert_allclose(values[..., 1] - values[..., 0], 2.0 * math.log(3.0), rtol=1e-4)
+    np.testing.assert_allclose(values.sum(axis=-1), base.log_roughness[..., :2].sum(axis=-1), rtol=1e-4)
+    assert len(np.unique(np.round(tensors[..., 0, 1], 3))) > 5  # the direction turns
+
+
+def test_variants_with_edges_are_whole():
+    base = bumpy(64)
+    kinds = [with_edges(base, np.random.default_rng(seed)) for seed in range(20)]
+    for made in kinds:
+        np.testing.assert_allclose(np.linalg.norm(made.normal, axis=2), 1.0, rtol=1e-5)
+        assert made.is_finite() and made.normal[..., 2].min() > 0.05
+        assert np.linalg.eigvalsh(made.log_roughness[..., [0, 2, 2, 1]].reshape(-1, 2, 2)).max() < 1e-4
+    assert 0 < sum(bool(made.log_roughness[..., 2].any()) for made in kinds) < 20
 
 
 def test_sums_of_a_flat_base_are_its_own():

@@ -86,9 +86,15 @@ def _train(
 @click.option("--methods", default=_JUDGED, show_default=True, help="Separated by commas.")
 @click.option("--texels", type=click.IntRange(min=1), default=48, show_default=True, help="Random texels per level.")
 @click.option("--model", default="ggx", show_default=True, help="Lobe model of the levels.")
+@click.option(
+    "--anisotropy", type=click.FloatRange(min=1.0), default=1.0, show_default=True,
+    help="Stretch the sets' lobes to this ratio of alphas, in a direction that turns.",
+)  # fmt: skip
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Also write the rows as JSON.")
 @click.argument("sources", metavar="SET...", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
-def judge(sources: tuple[Path, ...], methods: str, texels: int, model: str, output: Path | None) -> None:
+def judge(
+    sources: tuple[Path, ...], methods: str, texels: int, model: str, anisotropy: float, output: Path | None
+) -> None:
     """Print the half-angle SNR of methods on SETs, in dB; only sets that were not trained on are fair."""
     import dataclasses
     import json
@@ -107,7 +113,7 @@ def judge(sources: tuple[Path, ...], methods: str, texels: int, model: str, outp
             click.echo(f"{row.source:24}{row.method:10}{figures}{mean}{seconds}")
 
     click.echo(f"{'set':24}{'method':10}{heads}{'mean':>8}{'bake':>10}")
-    for rows in judge(sources, [name.strip() for name in methods.split(",")], texels, model):
+    for rows in judge(sources, [name.strip() for name in methods.split(",")], texels, model, anisotropy):
         tables.append(rows)
         show(rows)
         for row in rows:

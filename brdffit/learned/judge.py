@@ -19,6 +19,7 @@ from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
 from brdffit.halfangle.measure import lobe_parameters, measure_lobes, random_texels, snr
 from brdffit.learned.data import read_set
+from brdffit.learned.variants import stretched
 from brdffit.methods import DEFAULT, LobeMethod, Material, get_method, with_options
 from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -51,7 +52,9 @@ class Row:
         return float(np.mean(self.snr))
 
 
-def judge(sources: Sequence[Path], methods: Sequence[str], texels: int = 48, model: str = "ggx") -> Iterator[list[Row]]:
+def judge(
+    sources: Sequence[Path], methods: Sequence[str], texels: int = 48, model: str = "ggx", anisotropy: float = 1.0
+) -> Iterator[list[Row]]:
     """The rows of each set in turn: half-angle SNR of every method on the same random texels, with the scale it gave.
 
     A whole fit takes a minute a set, so the default method fits only the texels that are measured, and for point lights
@@ -62,9 +65,13 @@ def judge(sources: Sequence[Path], methods: Sequence[str], texels: int = 48, mod
         methods: names of methods of lobes.
         texels: random texels of each level.
         model: lobe model of the levels.
+        anisotropy: ratio of the alphas that the lobes of the sets are stretched to, in a direction that turns; 1 leaves
+            the sets as they are.
     """
     for source in sources:
         svbrdf = read_set(source)
+        if anisotropy != 1.0:
+            svbrdf = stretched(svbrdf, anisotropy)
         levels = [level for level in LEVELS if level < len(level_sizes(svbrdf.size))]
         judged = [random_texels(level_sizes(svbrdf.size)[level], texels, seed=level) for level in levels]
         rows, theta, scale = [], [], []

@@ -52,6 +52,9 @@ class LatentTask(SetsTask):
         crops: number of crops that steps draw from.
         loss: "exact", or "paper".
         form: of the decoders' outputs, see ``latent``.
+
+    Attributes:
+        highest: learning rate that is reached after the first steps; it may be set before the training.
     """
 
     kind = KIND
@@ -62,7 +65,7 @@ class LatentTask(SetsTask):
     ) -> None:  # fmt: skip
         super().__init__(sources, held_out)
         rng = np.random.default_rng(seed)
-        self.loss = one_of("loss", loss, LOSSES)
+        self.loss, self.highest = one_of("loss", loss, LOSSES), _RATE
         self.networks_ = LatentNetworks(rng, one_of("form", form, FORMS))
         self.sets = [Source(each) for each in self.sources]
         self.crops = [self._make_crop(rng) for _ in range(crops)]
@@ -82,7 +85,7 @@ class LatentTask(SetsTask):
 
     def rate(self, step: int, done: float) -> float:
         """Rises over the first steps, then is halved as many times as in the paper, whatever the training's length."""
-        return _RATE * min(1.0, (step + 1) / _WARM_STEPS) * 0.5 ** int(done * _HALVINGS)
+        return self.highest * min(1.0, (step + 1) / _WARM_STEPS) * 0.5 ** int(done * _HALVINGS)
 
     def accumulate(self, rng: np.random.Generator) -> float:
         """Add the gradient of one crop; returns its loss."""

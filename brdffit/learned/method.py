@@ -27,8 +27,10 @@ from brdffit.fitting.status import CLOSED_FORM, KEPT, NO_SPECULAR
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
+from brdffit.halfangle.lights import sizes_of
 from brdffit.learned import asked
 from brdffit.learned.asked import check_asked, tiny_base, told_of, weights_path
+from brdffit.learned.kernels.displayed import LIGHTS
 from brdffit.learned.kernels.footprints import empty_tiles
 from brdffit.learned.kernels.gathering import gather_tiles
 from brdffit.learned.kernels.saying import say_rows
@@ -51,17 +53,19 @@ class LearnedOptions(LobeOptions):
     group: ClassVar[str] = "learned"
 
     specular: str = option(
-        "free", "the network's scale of the lobe, or hold the filtered colour", names=("free", "held")
+        "bounded",
+        "scale of the lobe: the network's, within 0.92 to 1.09 of the filtered colour, or held at it",
+        names=("bounded", "held"),
     )
     quality: str = option("standard", "of the fit of texels unlike all training", names=QUALITIES)
     weights: str = option(asked.SHIPPED, "a file of `brdffit learn learned`, or those shipped")
 
 
 def _fit_options(options: LearnedOptions) -> FitOptions:
-    """The options of the fit, for point lights as the network was trained."""
+    """The options of the fit, under the lights that the network was trained for."""
     ours = dataclasses.asdict(options)
     same = {each.name: ours[each.name] for each in dataclasses.fields(FitOptions) if each.name in ours}
-    return FitOptions(**{"lights": "point", **same})
+    return FitOptions(**{"lights": LIGHTS, **same})
 
 
 class Learned(LobeMethod):
@@ -231,7 +235,8 @@ class _Bake:
     def _fit(self, mip_level: int, size: tuple[int, int], index: NDArray, output: Output) -> None:
         """Fit the texels ``index`` (flat indices) of a level and write them to ``output``."""
         quality, model = get_quality(self.options.quality), get_model(MODEL)
-        rules = level_rules(self.filter, self.svbrdf.size, size, mip_level, quality)
+        lights = sizes_of(LIGHTS, model.blur, model.blur)
+        rules = level_rules(self.filter, self.svbrdf.size, size, mip_level, quality, lights=lights)
         search = search_settings(_fit_options(self.options), quality, self.base, model, model)
 
         def work(first: int) -> None:

@@ -95,9 +95,9 @@ class ResidualNetwork:
         """Inputs (n, FEATURES) float32 of the chain."""
         return np.clip((features - self.mean) / self.deviation, -FARTHEST, FARTHEST).astype(np.float32)
 
-    def predict(self, moments: NDArray) -> Prediction:
-        """Lobes of footprints with these moments (n, MOMENTS) float64."""
-        features, closed = features_of(moments)
+    def predict(self, moments: NDArray, glows: NDArray) -> Prediction:
+        """Lobes of footprints with these moments (n, MOMENTS) and glows (n,), float64 (see ``moments.glow``)."""
+        features, closed = features_of(moments, glows)
         out = self.chain.forward(self.normalised(features)) * difference(features)[:, None]
         out = np.clip(out, -MOST, MOST)
         covered = np.all((features >= self.low) & (features <= self.high), axis=1)

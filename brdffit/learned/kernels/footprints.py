@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from brdffit._jit import inline, kernel
 from brdffit.halfangle.patch import wrapped
-from brdffit.learned.kernels.moments import MOMENTS
+from brdffit.learned.kernels.moments import MOMENTS, NARROW
 from brdffit.nets.doubles import EIGHT, all_of, eight, exponential, greatest, logarithm, put, root
 from brdffit.nets.vectors import LANES, halves, load, multiply, multiply_add, store
 
@@ -171,6 +171,15 @@ def add_lobes(blended, at, pitch, side, isotropic, has_diffuse, rows, to, fresh)
     gain(rows, to, 36, u * yy, fresh)
     gain(rows, to, 37, u * yz, fresh)
     gain(rows, to, 38, u * zz, fresh)
+    k = greatest(1.0 - NARROW * (p + s), 0.0)
+    k = w * k * k
+    gain(rows, to, 39, k, fresh)
+    gain(rows, to, 40, k * x, fresh)
+    gain(rows, to, 41, k * y, fresh)
+    gain(rows, to, 42, k * p, fresh)
+    gain(rows, to, 43, k * q, fresh)
+    gain(rows, to, 44, k * s, fresh)
+    gain(rows, to, 45, k * size, fresh)
     gain(rows, to, ENERGY, w, fresh)
     gain(rows, to, COLOUR, red, fresh)
     gain(rows, to, COLOUR + 1, green, fresh)

@@ -5,6 +5,10 @@ Weighted by reflected energy, over the lobes of a footprint with normals n, tens
     third and fourth moments of n (10 and 15; |n| = 1, so that they hold the first and second),
     E[Sigma] (3), E[exp(-u)], E[u^2], E[u n] (3), E[u n n'] (6; its trace is E[u]).
 
+and, where r is the sine of a normal to the texture's own and K = max(1 - r^2 / ``WINDOW``^2, 0)^2,
+
+    E[K], E[K n_x], E[K n_y], E[K n_x n_x], E[K n_x n_y], E[K n_y n_y], E[K sqrt(det Sigma)].
+
 What is read off them (``features``) is central: taken in the plane of the mean normal, where the first moments vanish,
 and in units of the widened lobe, so that it depends neither on which way the surface faces nor on how wide the lobe is.
 Normals' own components are bounded, so steep normals do no harm; sums must be double precision, for a variance of 1e-10
@@ -12,6 +16,12 @@ is a difference of numbers near 1.
 
 The closed form that all is relative to is LEAN's (Olano and Baker 2010) in that plane: Sigma_0 = E[Sigma] + 2 Cov(n),
 eigenvectors p and q, eigenvalues l_1 >= l_2.
+
+LEAN's lobe is far too wide where a footprint is flat for the most part and has steep edges: plates, tiles, planks. The
+best lobe there is that of the flat part, so a second closed form is LEAN's of the lobes in the window K, with a few of
+all lobes (``OTHERS``) so that it is always defined, of the share f and the tensor Sigma_1. A peak of share f and area
+sqrt(det Sigma_1) gains f^2 / sqrt(det Sigma_1) of the squared target, so the first guess of how much of the second form
+to take is the gate s(``STEEPNESS`` log(f^2 sqrt(det Sigma_0) / sqrt(det Sigma_1))), s(x) = 1 / (1 + exp(-x)).
 """
 
 from __future__ import annotations
@@ -37,24 +47,38 @@ from brdffit.nets.doubles import (
 )
 
 # Third moments xxx xxy xxz xyy xyz xzz yyy yyz yzz zzz; fourth xxxx xxxy xxxz xxyy xxyz xxzz xyyy xyyz xyzz xzzz yyyy
-# yyyz yyzz yzzz zzzz; tensor xx yy xy; inverse; u^2; u x y z; u xx xy xz yy yz zz.
-THIRD, FOURTH, TENSOR, INVERSE, SQUARE, ALONG, ACROSS = 0, 10, 25, 28, 29, 30, 33
-MOMENTS = 39
+# yyyz yyzz yzzz zzzz; tensor xx yy xy; inverse; u^2; u x y z; u xx xy xz yy yz zz; within the window: 1 x y xx xy yy,
+# size.
+THIRD, FOURTH, TENSOR, INVERSE, SQUARE, ALONG, ACROSS, WITHIN = 0, 10, 25, 28, 29, 30, 33, 39
+MOMENTS = 46
+#: Sine at which the window ends, and its reciprocal squared.
+WINDOW = math.sqrt(0.02)
+NARROW = 1.0 / WINDOW**2
+#: Share of all lobes that joins those in the window.
+OTHERS = 1e-3
+#: Of the gate.
+STEEPNESS = 3.0
 
 # Features: logs of size and stretch; z in the lobe's frame; tensor; third and fourth moments; of u: deviation,
-# correlations with position and its squares; sharpness of the sharpest; spread as vMF sees it; size itself; level of u.
+# correlations with position and its squares; sharpness of the sharpest; spread as vMF sees it; size itself; level of u;
+# of the second form, relative to the first: log of its share, log of its size, normal, log tensor (half the difference
+# of the diagonal, off-diagonal).
 SIZE, STRETCH, UPRIGHT, TENSORS, THIRDS, FOURTHS = 0, 1, 2, 5, 8, 12
-DEVIATION, SHARPEST, TILTS, BENDS, SPHERICAL, WIDTH, LEVEL = 17, 18, 19, 21, 24, 25, 26
-FEATURES = 27
+DEVIATION, SHARPEST, TILTS, BENDS, SPHERICAL, WIDTH, LEVEL, FLAT = 17, 18, 19, 21, 24, 25, 26, 27
+# How bright the diffuse light is beside the lobes (``glow``): it is no moment, and stands last.
+GLOW = 33
+FEATURES = 34
+#: What is added to that ratio before its logarithm.
+DARK = 0.05
 
 #: What changes sign when the first axis, or the second, is turned about.
-FIRST_ODD = (3, 7, 8, 10, 13, 15, 19, 23)
-SECOND_ODD = (4, 7, 9, 11, 13, 15, 20, 23)
+FIRST_ODD = (3, 7, 8, 10, 13, 15, 19, 23, 29, 32)
+SECOND_ODD = (4, 7, 9, 11, 13, 15, 20, 23, 30, 32)
 
 # The closed form of a texel: its normal, the axes p and q, square roots of l_1 and l_2, log tensor, and cos and sin of
-# p in the tangent frame of the normal.
-NORMAL, FIRST, SECOND, ROOTS, LOG_TENSOR, TURN = 0, 3, 6, 9, 11, 14
-CLOSED = 16
+# p in the tangent frame of the normal; the second form less the first: normal, log tensor, u; the gate's argument.
+NORMAL, FIRST, SECOND, ROOTS, LOG_TENSOR, TURN, OTHER, SMALLER, GATE = 0, 3, 6, 9, 11, 14, 16, 22, 23
+CLOSED = 24
 
 _LEAST_Z = 1.0 / STEEPEST_SLOPE
 
@@ -111,6 +135,24 @@ def lobe_moments(lobes, count, isotropic, out):
         out[36] += u * yy
         out[37] += u * yz
         out[38] += u * zz
+        k = max(1.0 - NARROW * (p + s), 0.0)
+        k = w * k * k
+        out[39] += k
+        out[40] += k * x
+        out[41] += k * y
+        out[42] += k * p
+        out[43] += k * q
+        out[44] += k * s
+        out[45] += k * size
+
+
+@inline
+def glow(red, green, blue, energy):
+    """log(d / r + ``DARK``) of eight footprints: d is the sum of the diffuse ``red``, ``green`` and ``blue``, each the
+    length of its sum of colour times normal, r the energy of the lobes. On a screen the dark beyond a lobe counts where
+    nothing else shines.
+    """
+    return logarithm((red + green + blue) / greatest(energy, 1e-9) + DARK)
 
 
 @inline
@@ -272,6 +314,40 @@ def features(rows, at, plane, factor, out, closed, to, stride):
     put(out, to + 24 * stride, logarithm((0.5 * (xx + yy) + spread) * (r1 * r2)))
     put(out, to + 25 * stride, l1)
     put(out, to + 26 * stride, level - 0.5 * (g1 + g2))
+    part = factor * eight(rows, at + WITHIN * plane) + OTHERS
+    s = 1.0 / part
+    m_x = s * (factor * eight(rows, at + (WITHIN + 1) * plane) + OTHERS * mean[0])
+    m_y = s * (factor * eight(rows, at + (WITHIN + 2) * plane) + OTHERS * mean[1])
+    w_xx = greatest(s * (factor * eight(rows, at + (WITHIN + 3) * plane) + OTHERS * second[0]) - m_x * m_x, 0.0)
+    w_xy = s * (factor * eight(rows, at + (WITHIN + 4) * plane) + OTHERS * second[1]) - m_x * m_y
+    w_yy = greatest(s * (factor * eight(rows, at + (WITHIN + 5) * plane) + OTHERS * second[3]) - m_y * m_y, 0.0)
+    mean_size = root(greatest(xx * yy - xy * xy, 1e-24))
+    of_size = s * (factor * eight(rows, at + (WITHIN + 6) * plane) + OTHERS * mean_size) / mean_size
+    l3, l4, cos2, sin2 = principal(
+        of_size * xx + 2.0 * w_xx, of_size * yy + 2.0 * w_yy, of_size * xy + 2.0 * w_xy
+    )  # fmt: skip
+    g3, g4 = logarithm(greatest(l3, 1e-12)), logarithm(greatest(l4, 1e-12))
+    m_z = root(greatest(1.0 - m_x * m_x - m_y * m_y, 0.01))
+    d_x, d_y, d_z = m_x - n_x, m_y - n_y, m_z - n_z
+    smaller = 0.5 * (g3 + g4 - g1 - g2)
+    d_xx = g3 * cos2 * cos2 + g4 * sin2 * sin2 - g1 * cos * cos - g2 * sin * sin
+    d_yy = g3 * sin2 * sin2 + g4 * cos2 * cos2 - g1 * sin * sin - g2 * cos * cos
+    d_xy = (g3 - g4) * cos2 * sin2 - (g1 - g2) * cos * sin
+    log_part = logarithm(part)
+    put(out, to + 27 * stride, log_part)
+    put(out, to + 28 * stride, smaller)
+    put(out, to + 29 * stride, (d_x * p[0] + d_y * p[1] + d_z * p[2]) * r1)
+    put(out, to + 30 * stride, (d_x * q[0] + d_y * q[1] + d_z * q[2]) * r2)
+    put(out, to + 31 * stride, 0.5 * ((cos * cos - sin * sin) * (d_xx - d_yy) + 4.0 * cos * sin * d_xy))
+    put(out, to + 32 * stride, cos * sin * (d_yy - d_xx) + (cos * cos - sin * sin) * d_xy)
+    put(closed, to + OTHER * stride, d_x)
+    put(closed, to + (OTHER + 1) * stride, d_y)
+    put(closed, to + (OTHER + 2) * stride, d_z)
+    put(closed, to + (OTHER + 3) * stride, d_xx)
+    put(closed, to + (OTHER + 4) * stride, d_yy)
+    put(closed, to + (OTHER + 5) * stride, d_xy)
+    put(closed, to + SMALLER * stride, smaller)
+    put(closed, to + GATE * stride, STEEPNESS * (2.0 * log_part - smaller))
     put(closed, to, n_x)
     put(closed, to + stride, n_y)
     put(closed, to + 2 * stride, n_z)
@@ -295,11 +371,16 @@ def all_features(rows, count, out, closed):
         features(rows, i, count, one, out, closed, i, count)
 
 
-def features_of(moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Features (n, FEATURES) and closed forms (n, CLOSED), float64, of moments (n, MOMENTS) float64."""
+def features_of(moments: np.ndarray, glows: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Features (n, FEATURES) and closed forms (n, CLOSED), float64, of moments (n, MOMENTS) and glows (n,) float64.
+
+    Without glows, that feature is 0.
+    """
     padded = max(1, -(-len(moments) // EIGHT)) * EIGHT
     rows = np.zeros((MOMENTS, padded))
     rows[:, : len(moments)] = np.asarray(moments).T
     out, closed = np.zeros((FEATURES, padded)), np.zeros((CLOSED, padded))
     all_features(rows.reshape(-1), padded, out.reshape(-1), closed.reshape(-1))
+    if glows is not None:
+        out[GLOW, : len(moments)] = glows
     return np.ascontiguousarray(out.T[: len(moments)]), np.ascontiguousarray(closed.T[: len(moments)])

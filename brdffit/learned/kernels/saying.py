@@ -1,14 +1,12 @@
 """What the method ``learned`` says of footprints, in one pass: features, the network, the corrected lobe.
 
 Eight texels at a time in features and lobes, eight texels by sixteen neurons in the network; nothing of it leaves the
-core's cache. A correction d of the closed form is that of ``residual``: with the closed form's normal n, axes p and q
-and eigenvalues l_1 and l_2,
-
-    v = n + d_0 sqrt(l_1) p + d_1 sqrt(l_2) q,   log Sigma = log Sigma_0 + Q [[d_2, d_4], [d_4, d_3]] Q'.
+core's cache. The lobe is made of both closed forms and the correction as ``residual`` has it.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -35,13 +33,18 @@ from brdffit.learned.kernels.moments import (
     DEVIATION,
     FEATURES,
     FIRST,
+    GATE,
+    GLOW,
     LOG_TENSOR,
+    OTHER,
     ROOTS,
     SECOND,
     SHARPEST,
+    SMALLER,
     TENSORS,
     TURN,
     features,
+    glow,
 )
 from brdffit.nets.convolution import convolve
 from brdffit.nets.doubles import EIGHT, all_of, chosen, eight, exponential, greatest, least, put, root
@@ -49,12 +52,17 @@ from brdffit.nets.vectors import LANES, PIXELS, load, multiply_add8, repeated8, 
 
 #: Normalised features beyond this are cut: a network says nothing sensible of what it has never seen.
 FARTHEST = 4.0
-#: Corrections beyond this are cut, and the log of the scale's factor beyond that.
-MOST, LOG_MOST = 4.0, 2.0
+#: Corrections beyond the first are cut, and the log of the scale over the filtered colour beyond the second: a level
+#: keeps the energy, as the default fit does by the same bounds.
+MOST, LOG_MOST = 4.0, math.log(1.09)
 #: Where lobes differ by less than this, corrections fade.
 ALIKE = 0.05
+#: How much of the gate's argument a correction of 1 is, and beyond what it is cut.
+GATE_GAIN, MOST_GATE = 4.0, 30.0
 #: Outputs of the network: the correction, the log of the scale over the filtered colour.
-OUTPUTS = 6
+OUTPUTS = 7
+#: Where the factors of corrections stand, after the outputs.
+DIFFER = OUTPUTS * PLANE
 #: Columns of a texel's result: normal, log tensor, specular, diffuse, whether training covered it, whether any light.
 RESULT = 14
 COVERED, SOME = 12, 13
@@ -104,6 +112,24 @@ def normalise(feature, i, said, inputs, result):
     put(result, COVERED * PLANE + i, inside)
 
 
+@inline
+def glow_of(rows, at):
+    """``glow`` of eight footprints whose sums begin at ``at``."""
+    energy = eight(rows, at + COLOUR * PLANE) + eight(rows, at + (COLOUR + 1) * PLANE)
+    energy = energy + eight(rows, at + (COLOUR + 2) * PLANE)
+    return glow(
+        diffuse_length(rows, at + DIFFUSE * PLANE), diffuse_length(rows, at + (DIFFUSE + 3) * PLANE),
+        diffuse_length(rows, at + (DIFFUSE + 6) * PLANE), energy,
+    )  # fmt: skip
+
+
+@inline
+def diffuse_length(rows, at):
+    """Length of the sum of a channel's diffuse colour times normal, of eight footprints."""
+    x, y, z = eight(rows, at), eight(rows, at + PLANE), eight(rows, at + 2 * PLANE)
+    return root(x * x + y * y + z * z)
+
+
 @kernel
 def first_layer(inputs, weights, bias, y, count, ins, outs, slope):
     """The first layer, of planes (FEATURES, PLANE): ``convolve`` without bringing the inputs into blocks."""
@@ -117,16 +143,8 @@ def first_layer(inputs, weights, bias, y, count, ins, outs, slope):
 
 
 @kernel
-def say(rows, at, count, said, scratch, feature, closed, inputs, hidden, other, result):
-    """Fill ``result`` (RESULT, PLANE) of ``count`` (a multiple of 8, at most PLANE) texels whose sums begin at ``at``.
-
-    ``scratch`` (OUTPUTS, PLANE), ``feature``, ``closed`` float64; ``inputs`` (FEATURES, PLANE), ``result`` float32;
-    ``hidden``, ``other`` float32 blocks.
-    """
-    for i in range(0, count, EIGHT):
-        energy = greatest(eight(rows, at + i + ENERGY * PLANE), 1e-30)
-        features(rows, at + i, PLANE, 1.0 / energy, feature, closed, i, PLANE)
-        normalise(feature, i, said, inputs, result)
+def ask(said, inputs, hidden, other, count, out):
+    """The network's outputs for ``count`` texels, from ``inputs`` (FEATURES, PLANE) to ``out`` (OUTPUTS, PLANE)."""
     last, x, y = said.layers.shape[0] - 1, hidden, other
     for layer in range(last + 1):
         ins, outs, first, bias = (
@@ -140,26 +158,49 @@ def say(rows, at, count, said, scratch, feature, closed, inputs, hidden, other, 
         x, y = y, x
     for k in range(OUTPUTS):
         for i in range(count):
-            scratch[k * PLANE + i] = x[i * LANES + k]
+            out[k * PLANE + i] = x[i * LANES + k]
+
+
+@kernel
+def say(rows, at, count, said, scratch, feature, closed, inputs, hidden, other, result):
+    """Fill ``result`` (RESULT, PLANE) of ``count`` (a multiple of 8, at most PLANE) texels whose sums begin at ``at``.
+
+    ``scratch`` (OUTPUTS + 1, PLANE), ``feature``, ``closed`` float64; ``inputs`` (FEATURES, PLANE), ``result`` float32;
+    ``hidden``, ``other`` float32 blocks.
+    """
     for i in range(0, count, EIGHT):
+        energy = greatest(eight(rows, at + i + ENERGY * PLANE), 1e-30)
+        features(rows, at + i, PLANE, 1.0 / energy, feature, closed, i, PLANE)
+        put(feature, GLOW * PLANE + i, glow_of(rows, at + i))
+        normalise(feature, i, said, inputs, result)
         by_normals = greatest(
             2.0 - eight(feature, TENSORS * PLANE + i) - eight(feature, (TENSORS + 1) * PLANE + i), 0.0
         )
         differ = by_normals + eight(feature, DEVIATION * PLANE + i)
         differ = differ + greatest(eight(feature, SHARPEST * PLANE + i), 0.0)
-        differ = differ / (differ + ALIKE)
+        put(scratch, DIFFER + i, differ / (differ + ALIKE))
+    ask(said, inputs, hidden, other, count, scratch)
+    for i in range(0, count, EIGHT):
+        differ = eight(scratch, DIFFER + i)
         d0 = least(greatest(eight(scratch, i) * differ, -MOST), MOST)
         d1 = least(greatest(eight(scratch, PLANE + i) * differ, -MOST), MOST)
         d2 = least(greatest(eight(scratch, 2 * PLANE + i) * differ, -MOST), MOST)
         d3 = least(greatest(eight(scratch, 3 * PLANE + i) * differ, -MOST), MOST)
         d4 = least(greatest(eight(scratch, 4 * PLANE + i) * differ, -MOST), MOST)
-        factor = exponential(said.free * least(greatest(eight(scratch, 5 * PLANE + i) * differ, -LOG_MOST), LOG_MOST))
-        root1 = d0 * eight(closed, ROOTS * PLANE + i)
-        root2 = d1 * eight(closed, (ROOTS + 1) * PLANE + i)
-        v_x = eight(closed, i) + root1 * eight(closed, FIRST * PLANE + i) + root2 * eight(closed, SECOND * PLANE + i)
-        v_y = eight(closed, PLANE + i) + root1 * eight(closed, (FIRST + 1) * PLANE + i)
+        turn = least(greatest(eight(scratch, 5 * PLANE + i) * differ, -MOST), MOST) * GATE_GAIN
+        turn = least(greatest(turn + eight(closed, GATE * PLANE + i), -MOST_GATE), MOST_GATE)
+        gate = 1.0 / (1.0 + exponential(0.0 - turn))
+        factor = exponential(said.free * least(greatest(eight(scratch, 6 * PLANE + i) * differ, -LOG_MOST), LOG_MOST))
+        small = exponential(0.5 * gate * eight(closed, SMALLER * PLANE + i))
+        root1 = d0 * small * eight(closed, ROOTS * PLANE + i)
+        root2 = d1 * small * eight(closed, (ROOTS + 1) * PLANE + i)
+        v_x = eight(closed, i) + gate * eight(closed, OTHER * PLANE + i)
+        v_y = eight(closed, PLANE + i) + gate * eight(closed, (OTHER + 1) * PLANE + i)
+        v_z = eight(closed, 2 * PLANE + i) + gate * eight(closed, (OTHER + 2) * PLANE + i)
+        v_x = v_x + root1 * eight(closed, FIRST * PLANE + i) + root2 * eight(closed, SECOND * PLANE + i)
+        v_y = v_y + root1 * eight(closed, (FIRST + 1) * PLANE + i)
         v_y = v_y + root2 * eight(closed, (SECOND + 1) * PLANE + i)
-        v_z = eight(closed, 2 * PLANE + i) + root1 * eight(closed, (FIRST + 2) * PLANE + i)
+        v_z = v_z + root1 * eight(closed, (FIRST + 2) * PLANE + i)
         v_z = v_z + root2 * eight(closed, (SECOND + 2) * PLANE + i)
         flat = v_x * v_x + v_y * v_y
         v_z = greatest(v_z, root(flat) * (1.0 / STEEPEST_SLOPE))
@@ -170,6 +211,9 @@ def say(rows, at, count, said, scratch, feature, closed, inputs, hidden, other, 
         a = eight(closed, LOG_TENSOR * PLANE + i) + cc * d2 + ss * d3 - 2.0 * cs * d4
         b = eight(closed, (LOG_TENSOR + 1) * PLANE + i) + ss * d2 + cc * d3 + 2.0 * cs * d4
         c = eight(closed, (LOG_TENSOR + 2) * PLANE + i) + cs * (d2 - d3) + (cc - ss) * d4
+        a = a + gate * eight(closed, (OTHER + 3) * PLANE + i)
+        b = b + gate * eight(closed, (OTHER + 4) * PLANE + i)
+        c = c + gate * eight(closed, (OTHER + 5) * PLANE + i)
         a, b, c = bounded(a, b, c, said.log_low, said.round)
         put(result, i, n_x)
         put(result, PLANE + i, n_y)
@@ -227,7 +271,7 @@ def say_rows(
     from_base, pitch = tiles.size == 0, width + 2 + COLUMNS
     blended = np.zeros(BLENDS * CHANNELS * pitch if from_base else 1, np.float32)
     plain, sums = np.zeros_like(blended), np.zeros(SUMS * PLANE if from_base else 1)
-    scratch, feature, closed = np.zeros(OUTPUTS * PLANE), np.zeros(FEATURES * PLANE), np.zeros(CLOSED * PLANE)
+    scratch, feature, closed = np.zeros((OUTPUTS + 1) * PLANE), np.zeros(FEATURES * PLANE), np.zeros(CLOSED * PLANE)
     inputs = np.zeros(FEATURES * PLANE, np.float32)
     hidden, other = np.zeros(said.widest * LANES * PLANE, np.float32), np.zeros(said.widest * LANES * PLANE, np.float32)
     result = np.zeros(RESULT * PLANE, np.float32)

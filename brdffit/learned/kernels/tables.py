@@ -178,10 +178,19 @@ def tabulate(
     base: Base, strata: Strata, x: NDArray, y: NDArray, room: int, kernels: ModelKernels | None = None,
     moments: NDArray | None = None,
 ) -> Table:  # fmt: skip
+    """The table of ``tabulated`` without the texels that reflect nothing."""
+    table, fine = tabulated(base, strata, x, y, room, kernels, moments)
+    return table if fine.all() else table.rows(fine)
+
+
+def tabulated(
+    base: Base, strata: Strata, x: NDArray, y: NDArray, room: int, kernels: ModelKernels | None = None,
+    moments: NDArray | None = None,
+) -> tuple[Table, NDArray]:  # fmt: skip
     """Footprints with the strata of a level, centred at (x[i], y[i]) base texels (texel 0 is centred at 0.5).
 
-    ``kernels``: of the base's model; ``moments`` (n, MOMENTS): in place of those of the gathered lobes. Texels that
-    reflect nothing are left out.
+    ``kernels``: of the base's model; ``moments`` (n, MOMENTS): in place of those of the gathered lobes. Returns the
+    table, and which of its texels reflect anything.
     """
     kernels = kernels or model_kernels("ggx", "ggx")
     texels = len(x)
@@ -199,7 +208,7 @@ def tabulate(
     if moments is not None:
         table.moments[:] = moments
     fine = (table.norm > 1e-12) & np.isfinite(table.nodes).all(axis=(1, 2)) & np.isfinite(table.moments).all(axis=1)
-    return table if fine.all() else table.rows(fine)
+    return table, fine
 
 
 @kernel
