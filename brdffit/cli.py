@@ -339,12 +339,14 @@ def plan(file: Path, output: Path, sets: Path | None, short: bool, seed: int, th
 
     Effects are measured on a few texels and directions; nothing is baked.
     """
+    from brdffit.files.atomic import check_file
     from brdffit.library.discovery import find_sets
     from brdffit.planning.console import make_plan, print_plan, write_plan
 
     found = [each.source for each in find_sets(sets) if each.files is None] if sets else []
     if sets and not found:
         raise click.UsageError(f"There is no texture set below '{sets}'.")
+    check_file(output)
     _, made = make_plan(file, found, seed, threads)
     write_plan(made, output)
     print_plan(made, short or bool(sets))

@@ -239,6 +239,15 @@ def test_without_height_nothing_is_written(tmp_path):
     assert not list(tmp_path.glob("*.npz"))
 
 
+def test_a_place_that_cannot_be_written_is_told_before_the_training(tmp_path):
+    (tmp_path / "file").touch()
+    for output, told in (("file/material.npz", "is a file, expected a folder"), ("folder.npz", "is a folder")):
+        (tmp_path / "folder.npz").mkdir(exist_ok=True)
+        result = CliRunner().invoke(main, ["neural", "train", str(tmp_path), "-o", str(tmp_path / output)])
+        assert result.exit_code == 1 and told in result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.npz"]
+
+
 def test_commands_train_resume_render_and_tell(tmp_path):
     make_set("pebbles", tmp_path / "pebbles", 32)
     file, out = tmp_path / "pebbles.npz", tmp_path / "out"

@@ -204,12 +204,14 @@ def draw_landscape(
         InputError: for a set, level or texel that there is not.
         OutputError: when the picture cannot be written.
     """
+    from brdffit.files.atomic import check_file
     from brdffit.landscape import landscape
     from brdffit.report.plots import check_picture, save_landscape
     from brdffit.textures.conversion import to_svbrdf
     from brdffit.textures.reading import read_texture_set
 
     check_picture(output)
+    check_file(output)
     began = time.perf_counter()
     texture_set = read_texture_set(source, **reading)
     found = landscape(to_svbrdf(texture_set).weighted(), level, texel, model=model)

@@ -51,6 +51,25 @@ def fresh_file(path: Path) -> Iterator[Path]:
             fresh.unlink()
 
 
+def check_file(path: Path) -> None:
+    """Check, before hours of work, that ``fresh_file`` can write a file later; its folder is made.
+
+    Raises:
+        OutputError: when it cannot.
+    """
+    if path.is_dir():
+        raise OutputError(f"'{path}' is a folder, expected a file to write.")
+    if path.parent.is_file():
+        raise OutputError(f"'{path}' cannot be written: '{path.parent}' is a file, expected a folder.")
+    trial = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        trial.touch()
+        trial.unlink()
+    except OSError as error:
+        raise OutputError(f"'{path}' cannot be written: {error.strerror or error}.") from error
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a file as ``fresh_file`` does."""
     with fresh_file(path) as fresh:

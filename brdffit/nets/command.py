@@ -44,13 +44,16 @@ def check_training(output: Path, minutes: float | None, steps: int | None) -> No
     Raises:
         click.UsageError: when minutes and steps are both given.
         InputError: when the output is not named .npz.
+        OutputError: when it cannot be written.
     """
     from brdffit.errors import InputError
+    from brdffit.files.atomic import check_file
 
     if minutes is not None and steps is not None:
         raise click.UsageError("Give --minutes or --steps, not both.")
     if output.suffix != ".npz":
         raise InputError(f"'{output}' must bear a name that ends in .npz.")
+    check_file(output)
 
 
 def train_with_bar(task: Any, output: Path, minutes: float | None, steps: int | None, **named: Any) -> None:
