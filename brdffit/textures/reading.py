@@ -114,7 +114,7 @@ def _find_maps(path: Path, roles: dict[str, str], material: str | None) -> Textu
         return texture_set
     try:
         names = file_names(path)
-        folders = sorted(each.name for each in path.iterdir() if each.is_dir() and each.name[0] != ".")
+        folders = sorted(name for name in os.listdir(path) if name[0] != "." and os.path.isdir(path / name))
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}.") from error
     images = [name for name in names if name.lower().endswith(IMAGE_SUFFIXES)]
@@ -181,7 +181,8 @@ def _by_file(path: Path, scenes: list[str], named: NamedSet, material: str | Non
 
 def file_names(folder: Path) -> list[str]:
     """Names of the files of a folder, sorted, without hidden ones and links that lead nowhere (OSError)."""
-    return sorted(each.name for each in folder.iterdir() if each.name[0] != "." and each.is_file())
+    # What cannot be looked at is no file for os.path, but an error for pathlib.
+    return sorted(name for name in os.listdir(folder) if name[0] != "." and os.path.isfile(folder / name))
 
 
 def set_of_names(path: Path, named: NamedSet, explicit: dict[str, Map]) -> TextureSet:
