@@ -328,7 +328,7 @@ def see_lobes(base, lights, count, spread, cell, scratch):
     for s in range(sizes):
         own, many = scratch.lobes[s], scratch.counts[s]
         if widest > _NARROW_SPREAD:
-            widen_lobes(own, many, base.isotropic, base.widening, lights[s, BASE_BLUR])
+            widen_lobes(own, many, base.isotropic, base.widening, lights[s, BASE_BLUR], base.averages)
         elif widest > 0.0 and base.isotropic:
             widen_round_lobes(own, many, base.widening, lights[s, BASE_BLUR])
         elif lights[s, BASE_BLUR] > 0.0:

@@ -51,14 +51,12 @@ _COLOURED = 1.05
 DIFFUSE_MOMENT = 12
 # Most samples of a stratum along one axis: a mirror of alpha 0.002 beside a wall would need too many.
 _MOST_CUTS = 16
-# A footprint that needs more samples than there is room for is gathered again with a longer step.
-_STEP_RETRIES, _STEP_GROWTH = 3, 1.1
-# Share of the nodes that a guard lobe draws.
-_GUARD_SHARE = 0.25
+# How often, and with how much longer a step, a footprint is gathered again for want of room; a guard's share of nodes.
+_STEP_RETRIES, _STEP_GROWTH, _GUARD_SHARE = 3, 1.1, 0.25
 
 
 class Base(NamedTuple):
-    """The base as kernels read it: arrays of ``Svbrdf``, ``perceptual`` (H, W) float32, ``widening`` of ``Model``."""
+    """The base as kernels read it: arrays of ``Svbrdf``, ``perceptual`` (H, W) float32, and two fields of ``Model``."""
 
     normal: NDArray
     perceptual: NDArray
@@ -73,6 +71,7 @@ class Base(NamedTuple):
     has_shape: bool
     tile: bool
     widening: tuple[float, float, float] = (2.0, 2.0, 0.0)
+    averages: bool = False
 
 
 class Strata(NamedTuple):
@@ -138,6 +137,7 @@ def base_of(svbrdf: Svbrdf, default_shape: float = 0.0) -> Base:
         has_shape=svbrdf.shape is not None,
         tile=svbrdf.wrap == "tile",
         widening=get_model(svbrdf.model).widening,
+        averages=get_model(svbrdf.model).averages,
     )
 
 

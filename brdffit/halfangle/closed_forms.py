@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from brdffit._jit import inline, kernel
-from brdffit.halfangle.frame import eigen_log, tangent_frame
+from brdffit.halfangle.frame import eigen_log, half_powers, tangent_frame
 from brdffit.halfangle.objective import PARAMETERS
 from brdffit.halfangle.patch import fading
 from brdffit.halfangle.quadrature import (
@@ -18,6 +18,7 @@ from brdffit.halfangle.quadrature import (
     H_X,
     H_Y,
     H_Z,
+    MEAN,
     MIXTURE,
     RED,
     SHAPE,
@@ -43,6 +44,9 @@ STEEPEST_SLOPE = 20.0
 # mean shape; factor that shrinks the mean tensor to that of the sharp lobes; what vMF adds to alpha^2.
 M_X, M_Y, XX, YY, XY, UU, VV, UV, SHAPES, SHRINK, VMF_SPREAD = range(11)
 MOMENTS = 11
+
+# Largest eigenvalue of MEAN: at 1/3 the mean over normals would reach 0 far away.
+_LARGEST_MEAN = 0.3
 
 #: Share of the quadrature nodes that the closed-form lobe draws.
 DEFENSIVE_SHARE = 0.25
@@ -210,11 +214,31 @@ def widening_at(widening, alpha_squared):
     return less * size, less * stretch, gain * max(1.0 - 3.0 * alpha_squared, 0.0)
 
 
+@inline
+def _average_lobe(lobe, xx, yy, xy, s_xx, s_yy, s_xy, less):
+    """TENSOR and MEAN of a lobe averaged over normals of covariance C; ``less``: share of C that widens on the sphere.
+
+    Where C is so large that the expansion fails, its part in MEAN is cut: the lobe alone has the second moments.
+    """
+    s_xx, s_yy, s_xy = less * s_xx, less * s_yy, less * s_xy
+    lobe[TENSOR], lobe[TENSOR + 1], lobe[TENSOR + 2] = xx + 2.0 * s_xx, yy + 2.0 * s_yy, xy + 2.0 * s_xy
+    _, narrow, _ = half_powers(lobe[TENSOR], lobe[TENSOR + 1], lobe[TENSOR + 2])
+    a, b, c = narrow
+    # M = N C N with N = Sigma'^(-1/2).
+    p, q, r, s = a * s_xx + c * s_xy, a * s_xy + c * s_yy, c * s_xx + b * s_xy, c * s_xy + b * s_yy
+    uu, uv, vv = p * a + q * c, p * c + q * b, r * c + s * b
+    largest = 0.5 * (uu + vv + math.sqrt((uu - vv) * (uu - vv) + 4.0 * uv * uv))
+    cut = _LARGEST_MEAN / largest if largest > _LARGEST_MEAN else 1.0
+    lobe[MEAN], lobe[MEAN + 1], lobe[MEAN + 2] = cut * uu, cut * vv, cut * uv
+
+
 @kernel
-def widen_lobes(lobes, count, isotropic, widening, light=0.0):
+def widen_lobes(lobes, count, isotropic, widening, light=0.0, averages=False):
     """Widen each lobe by the SPREAD of its own part of the footprint; all tensors become full ones.
 
-    ``light``: alpha^2 that a light of some size adds to every lobe first.
+    ``light``: alpha^2 that a light of some size adds to every lobe first. ``averages``, where it has a size: a lobe
+    becomes the mean over its normals (``quadrature.mean_over_normals``), Sigma + 2 C and MEAN, instead of the nearest
+    single lobe.
 
     LEAN adds twice the covariance C of the normals, which keeps the moments, but for long-tailed lobes its error
     against the average over the part is three times that of the nearest lobe. Where C is small the widened lobe is that
@@ -228,6 +252,10 @@ def widen_lobes(lobes, count, isotropic, widening, light=0.0):
         xx, yy, least = xx + light, yy + light, least + light
         size, stretch, gain = widening_at(widening, 0.5 * (xx + yy))
         s_xx, s_yy, s_xy = 0.5 * lobes[i, SPREAD], 0.5 * lobes[i, SPREAD + 1], 0.5 * lobes[i, SPREAD + 2]
+        if averages and light > 0.0:
+            _average_lobe(lobes[i], xx, yy, xy, s_xx, s_yy, s_xy, stretch / widening[1])
+            continue
+        lobes[i, MEAN], lobes[i, MEAN + 1], lobes[i, MEAN + 2] = 0.0, 0.0, 0.0
         before = max(xx * yy - xy * xy, least * least)
         # tr Sigma^-1 C.
         trace = (yy * s_xx + xx * s_yy - 2.0 * xy * s_xy) / before
@@ -246,6 +274,7 @@ def light_lobes(lobes, first, last, isotropic, light):
         lobes[i, TENSOR] += light
         if not isotropic:
             lobes[i, TENSOR + 1] += light
+            lobes[i, MEAN], lobes[i, MEAN + 1], lobes[i, MEAN + 2] = 0.0, 0.0, 0.0
 
 
 @kernel

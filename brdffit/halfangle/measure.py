@@ -109,9 +109,9 @@ def target_table(base, strata, points, column, row, exponent, light, lobes, node
     red, green, blue, some = normalise_mixture(lobes, count)
     isotropic = base.isotropic
     if spread > _NARROW_SPREAD:
-        widen_lobes(lobes, count, isotropic, base.widening, light)
+        widen_lobes(lobes, count, isotropic, base.widening, light, base.averages)
         isotropic = False
-    elif light > 0.0:
+    else:
         light_lobes(lobes, 0, count, isotropic, light)
     closed_forms(lobes, count, isotropic, starts, False)
     add_defensive_lobe(

@@ -35,6 +35,7 @@ class Model:
         widening: the sharp lobe nearest to the average over normals of covariance C (in units of alpha^2): log alpha^2
             grows by the first number times half the trace of C, log Sigma by the second times the deviator of C, and
             the scale by the growth of det Sigma to the power of the third. A Gaussian peak has (2, 2, 0).
+        averages: whether the profile is (q + C)^-2, whose mean over normals ``quadrature.mean_over_normals`` knows.
         blur: b, where a light whose disc moves half vectors by up to R adds b R^2 to alpha^2, so that the wider lobe is
             the nearest in L2 (docs/maths.md). For a Gaussian peak b is 1/2 for a small light (twice the disc's variance
             along an axis over R^2), 0.55 at R = alpha and 0.63 at 2 alpha.
@@ -49,6 +50,7 @@ class Model:
     shape_bounds: tuple[float, float, float] | None = None
     isotropic: bool = False
     widening: tuple[float, float, float] = (2.0, 2.0, 0.0)
+    averages: bool = False
     blur: float = 0.58
 
     @property

@@ -43,6 +43,7 @@ MODEL = Model(
     profile_gradient=profile_gradient,
     log_normalisation=log_normalisation,
     widening=(4.0, 3.0, 0.1),  # derived in brdffit.halfangle.response
+    averages=True,
     blur=0.74,  # the nearest of scale 1; 0.75 at R = alpha / 4, 0.70 at 4 alpha
     source="Walter et al., Microfacet Models for Refraction through Rough Surfaces, EGSR 2007",
 )

@@ -27,7 +27,8 @@ KNOWN: dict[tuple[str, str, str], str] = {
     ("turned", "horizon beside upright", "ggx"): _OPTIMA,
     ("turned", "steep valley", "blinn-phong"): _OPTIMA,
     ("start", "negative weights on needles", "blinn-phong"): _RESEARCHED,
-    **{("seen: believed", case, "ggx"): _STEEP for case in ("zero and low vectors as read", "steep beside upright")},
+    **{("seen: believed", case, "ggx"): _STEEP for case in ("horizon beside upright", "steep beside upright")},
+    ("seen: believed", "two needles far apart", "ggx"): _STREAK,
     **{
         ("seen: continuous", case, "ggx"): _STREAK
         for case in ("mirror on spread normals", "two needles far apart", "grooves of needles")
@@ -37,7 +38,6 @@ KNOWN: dict[tuple[str, str, str], str] = {
         for law in ("seen: continuous", "seen: turned")
         for case in ("steep valley", "steep beside upright", "horizon beside upright")
     },
-    ("seen: continuous", "zero and low vectors as read", "ggx"): _STEEP,
     **{("believed", _JUMPS, model): _STRATA for model in MODELS},
 }
 
