@@ -46,8 +46,10 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 # A piece of work should take a fraction of a second, so that interrupts are handled and the progress bar moves.
 _TEXELS_PER_PIECE = 16384
 _LEAST_PIECES = 32
-# Footprints of at least this many base texels an axis take so many samples that nodes are cheap: factor of nodes there.
-_WIDE, _WIDE_NODES = 4, 2
+# Footprints of at least so many base texels an axis take so many samples that nodes are cheap: factors of nodes there.
+# From 16 texels on two lobes are often nearly as good; with few nodes, noise makes single texels wide, and these shine
+# in the dark.
+_WIDE_NODES = ((16, 4), (4, 2))
 # Texels fitted to estimate a level's mean error, and the fewest texels of a level for which that pays.
 _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
 # The largest share of its error that a search under a tolerance may leave.
@@ -173,7 +175,9 @@ def level_rules(
 ) -> LevelRules:  # fmt: skip
     """How a level is sampled; ``point`` takes each base texel alone, unfiltered; ``lights`` as in ``lights.Table``."""
     scale = max(base_size[0] / size[0], base_size[1] / size[1])
-    points = tuple(_points(nodes * (_WIDE_NODES if scale >= _WIDE else 1), lights) for nodes in quality.nodes)
+    wide = _WIDE_NODES if lights[0, BASE_BLUR] > 0.0 else _WIDE_NODES[1:]
+    factor = next((factor for texels, factor in wide if scale >= texels), 1)
+    points = tuple(_points(nodes * factor, lights) for nodes in quality.nodes)
     if point:
         one = np.ones(1)
         return LevelRules(Strata(0.0 * one, 0.0 * one, one, one, 0.0, 0.0, 1.0, 1.0, 0), 1, lights, points)

@@ -91,7 +91,7 @@ _FEW_STRATA = 16
 # Where the mean alpha^2 is below this multiple of the smallest light's a^2, lobes may look alike: mirrors, if their
 # errors differ by less than a share plus a floor; wider lobes if by less, down to nothing at that multiple. Then the
 # positions that are tried between the found lobe (0) and the averaged (1).
-_SHARP, _ALIKE, _ALIKE_FLOOR, _NEARER = 2.0, 0.02, 1e-2, (1.0, 0.75, 0.5, 0.25)
+_SHARP, _ALIKE, _ALIKE_FLOOR, _NEARER = 2.0, 0.02, 3e-3, (1.0, 0.75, 0.5, 0.25)
 #: How often a texel may add nodes around a lobe that was found where there are none.
 GUARDS = 3
 
