@@ -9,7 +9,7 @@ from brdffit.fitting.batch import make_workplace
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
 from brdffit.halfangle.apparent_lobe import gather_lobes
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, MIXTURE
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, MIXTURE, SPREAD
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
 
@@ -53,3 +53,26 @@ def test_normals_spread_as_the_interpolated_map_has_them(level, quality):
     _, normals, _, _ = box_footprint(base, sample.size, 0, 0, samples=8 * 2**level)
     spread = (weights @ (found[:, :2] - weights @ found[:, :2]) ** 2).sum()
     assert spread == pytest.approx(normals[:, :2].var(axis=0).sum(), rel=0.1 + 3 * (2 / count) ** 0.5)
+
+
+@pytest.mark.parametrize("level", [3, 4, 5])
+def test_scattered_samples_see_all_normals_and_stand_for_few(level):
+    """Mirrors whose normals leap: no stratum is cut, no sample is widened by more than ``step`` widths along an axis,
+    and together they see the normals of the map."""
+    base = surface((128, 128), alpha=0.03, spread=0.2)
+    sample = LevelSample(base, level, np.array([0]), np.array([0]), FitOptions())
+    rules, search = sample.settings()
+    assert rules.strata.scatter and not sample.settings(FitOptions(lights="point"))[0].strata.scatter
+    scratch, _ = make_workplace(rules)
+    count, _ = gather_lobes(sample.base, rules.strata, search.step, 0, 0, scratch.lobes[0], scratch.moment)
+    assert count <= rules.strata.samples
+    lobes = scratch.lobes[0][:count]
+    # Twice the variance step^2 / 12 of an even spread along each axis, in widths under the smallest light; interpolated
+    # normals are shorter than 1, so that they turn a little more.
+    widest = search.step**2 / 3 * (lobes[:, ALPHA_SQUARED] + rules.strata.light)
+    assert (lobes[:, SPREAD] + lobes[:, SPREAD + 1] <= 1.2 * widest).all()
+    found, weights = lobes[:, :3], lobes[:, MIXTURE]
+    assert weights.sum() == pytest.approx(1.0)
+    _, normals, _, _ = box_footprint(base, sample.size, 0, 0, samples=8 * 2**level)
+    spread = (weights @ (found[:, :2] - weights @ found[:, :2]) ** 2).sum()
+    assert spread == pytest.approx(normals[:, :2].var(axis=0).sum(), rel=3 * (2 / count) ** 0.5)

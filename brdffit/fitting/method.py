@@ -50,6 +50,8 @@ _LEAST_PIECES = 32
 # From 16 texels on two lobes are often nearly as good; with few nodes, noise makes single texels wide, and these shine
 # in the dark.
 _WIDE_NODES = ((16, 4), (4, 2))
+# Samples of a footprint from which on the noise of random points averages out, under lights with a size.
+_MANY_SAMPLES = 256
 # Texels fitted to estimate a level's mean error, and the fewest texels of a level for which that pays.
 _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
 # The largest share of its error that a search under a tolerance may leave.
@@ -60,10 +62,10 @@ _NODE_SHARES, _FEWEST_NODES = (0.5, 0.25, 0.2, 0.2, 0.2, 0.2), 24
 _BOUNDS = (0.91, 1.09)
 # Where lights have a size the diffuse colour is fitted to point lights and, with this share, to an even sky.
 _SKY = 0.25
-# Relative squared errors (8 dB, and 5 dB of the displayed loss, whose errors are larger) above which the best lobe may
-# not have been found and further starts are tried. With 0.15 for the displayed loss too, they would gain 0.03 dB for a
-# fifth of all evaluations.
-_POOR, _POOR_DISPLAYED = 0.15, 0.3
+# Relative squared errors (8 dB, and 4 dB of the displayed loss, whose errors are larger) above which the best lobe may
+# not have been found and further starts are tried. With 0.15 for the displayed loss too, they would gain 0.05 dB for a
+# third of all evaluations.
+_POOR, _POOR_DISPLAYED = 0.15, 0.4
 
 
 class NonlinearFit(LobeMethod):
@@ -187,8 +189,11 @@ def level_rules(
     # Lights with a size widen every lobe, so that half as many samples miss no sharp peak of a large footprint.
     most = math.ceil(quality.most * pixels * (0.5 if lights[0, BASE_BLUR] > 0.0 else 1.0))
     chosen = strata(pixel_filter, base_size, size, per_texel, most, mip_level, quality.merge)
-    chosen = chosen._replace(light=float(lights[0, BASE_BLUR]))
-    return LevelRules(chosen, max(quality.room, 2 * chosen.samples), lights, points)
+    sized = lights[0, BASE_BLUR] > 0.0
+    scatter = bool(sized and chosen.samples >= _MANY_SAMPLES)
+    chosen = chosen._replace(light=float(lights[0, BASE_BLUR]), scatter=scatter)
+    room = chosen.samples if scatter else max(quality.room, 2 * chosen.samples)
+    return LevelRules(chosen, room, lights, points)
 
 
 def _points(nodes: int, lights: NDArray) -> tuple[NDArray, ...]:

@@ -170,8 +170,10 @@ def fit_texel(
         tier = 0
     guards, mending, warm = 0, False, False
     while True:
-        # A texel that needs more nodes often has separate peaks: the highest gets a search of its own.
+        # A texel that needs more nodes often has separate peaks: the highest gets a search of its own, once.
         follow = STARTS if mending else 2 if tier > search.usual else 1
+        if warm and not mending and tier > search.usual + 1:
+            follow = 0
         status = fit_by_rule(
             base, lobes_isotropic, some, scratch, rules[tier], search, follow, warm,
             tabulate_kernel, moments_kernel, values_kernel, log_normalisation,

@@ -41,7 +41,8 @@ def sample_points(
     rules: LevelRules, size: tuple[int, int], coarser_rules: LevelRules | None = None, coarser: Svbrdf | None = None
 ) -> list[Points]:
     """Sample points of a level of ``size``: on the level and, if the next coarser one is given, halfway to it."""
-    here = rules.strata
+    # Refinement compares lobes under point lights, which show the noise of scattered samples.
+    here = rules.strata._replace(scatter=False)
     # Point 2 k of the halved grid is the centre of texel k: (2 k + 1/2) scale / 2 + scale / 4.
     halved = here._replace(
         x=here.x + 0.25 * here.scale_x, y=here.y + 0.25 * here.scale_y, scale_x=0.5 * here.scale_x,

@@ -81,7 +81,8 @@ class Strata(NamedTuple):
     sum to 1; ``jitter_x`` and ``jitter_y``: width of the jitter in base texels (0: none); ``scale_x`` and ``scale_y``:
     base texels per texel of the level; ``seed`` of the jitter, another one for each level; ``merge``: how many lobe
     widths the normal may turn across the strata between four texels for one sample to represent them all (0: never);
-    ``light``: alpha^2 that the smallest light adds to every lobe (0: a point).
+    ``light``: alpha^2 that the smallest light adds to every lobe (0: a point); ``scatter``: whether a stratum that the
+    normal turns across too quickly is sampled at a random point instead of being cut.
     """
 
     x: NDArray
@@ -95,6 +96,7 @@ class Strata(NamedTuple):
     seed: int
     merge: float = 0.0
     light: float = 0.0
+    scatter: bool = False
 
     @property
     def samples(self) -> int:
@@ -201,6 +203,10 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
     separate peaks; never into more than ``lobes`` has room for (one row is left for the defensive lobe). The remaining
     spread of normals in a sample's part of the patch goes into SPREAD; its mean in units of the lobe's width is
     returned. Strata as wide as a texel or wider are sampled at random points and are neither merged nor cut.
+
+    With ``strata.scatter`` no stratum is cut: it gets one sample at a random point, which stands for no more than
+    ``step`` widths around it. Cutting bounds the error of a footprint of a few patches; among hundreds, the noise of
+    random points averages out, while lobes widened by all of a long turn would have tails beyond its ends.
     """
     height, width = base.normal.shape[0], base.normal.shape[1]
     centre_x = (column + 0.5) * strata.scale_x - 0.5
@@ -240,7 +246,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
             # Along each axis: parts that are sampled, strata in a part, and samples that a part is cut into.
             apart_x, apart_y, span_x, span_y, cuts_x, cuts_y = many_x, many_y, 1, 1, 1, 1
             inverse = 0.0
-            spreads = False
+            spreads, scattered, near_x, near_y = False, False, 1.0, 1.0
             if step > 0.0 and not jittered:
                 inverse = 1.0 / (narrowest(tensors, roughness, base.isotropic) + strata.light)
                 # Squared turn across a stratum, in lobe widths.
@@ -253,7 +259,11 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                         apart_x, span_x = 1, many_x
                     if merge_y:
                         apart_y, span_y = 1, many_y
-                if turn_x > step * step or turn_y > step * step:
+                if strata.scatter and (turn_x > step * step or turn_y > step * step):
+                    scattered = True
+                    near_x = min(step / math.sqrt(max(turn_x, 1e-12)), 1.0)
+                    near_y = min(step / math.sqrt(max(turn_y, 1e-12)), 1.0)
+                elif turn_x > step * step or turn_y > step * step:
                     cuts_x = max(min(math.ceil(math.sqrt(turn_x) / step), _MOST_CUTS), 1)
                     cuts_y = max(min(math.ceil(math.sqrt(turn_y) / step), _MOST_CUTS), 1)
                     wanted += apart_x * apart_y * (cuts_x * cuts_y - 1)
@@ -268,7 +278,7 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
             part_x, part_y = size_x * span_x / cuts_x, size_y * span_y / cuts_y
             x += strata.x[first_x] - 0.5 * size_x - x0
             y += strata.y[first_y] - 0.5 * size_y - y0
-            if cuts_x * cuts_y > 1:
+            if scattered or cuts_x * cuts_y > 1:
                 x, y = inside(x, many_x * size_x), inside(y, many_y * size_y)
             whole_x = 0.0
             if span_x > 1:
@@ -277,12 +287,17 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
             if span_y > 1:
                 y += offset_y * size_y
             share = 1.0 / (cuts_x * cuts_y)
+            own_x, own_y = near_x * part_x, near_y * part_y
             for k in range(apart_y * cuts_y):
                 weight_y = share * (whole_y if span_y > 1 else strata.weight_y[first_y + k // cuts_y])
                 fy = y + (k + 0.5) * part_y
                 for m in range(apart_x * cuts_x):
                     weight = weight_y * (whole_x if span_x > 1 else strata.weight_x[first_x + m // cuts_x])
                     fx = x + (m + 0.5) * part_x
+                    if scattered:
+                        bits = hash_of(strata.seed, row * 65536 + column, first_y + k, first_x + m)
+                        fx += part_x * ((bits & np.uint32(0xFFFF)) / 65536.0 - 0.5)
+                        fy = y + (k + (bits >> np.uint32(16)) / 65536.0) * part_y
                     lobe = lobes[count]
                     w = weights_of(fx, fy)
                     colour_x, colour_y = 0.0, 0.0
@@ -292,12 +307,12 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                         r = bilinear_of(roughness, w)
                         rough_x, rough_y = slopes_of(roughness, fx, fy)
                         rough_x, rough_y = rough_x / r, rough_y / r
-                        narrower, gain = narrowed(rough_x, rough_y, part_x, part_y)
+                        narrower, gain = narrowed(rough_x, rough_y, own_x, own_y)
                         if coloured:
                             colour_x, colour_y = slopes_of(sums, fx, fy)
                             whole = max(bilinear_of(sums, w), 1e-6)
                             colour_x, colour_y = colour_x / whole, colour_y / whole
-                            narrower *= weighted(rough_x, rough_y, colour_x, colour_y, part_x, part_y)
+                            narrower *= weighted(rough_x, rough_y, colour_x, colour_y, own_x, own_y)
                         lobe[ALPHA_SQUARED] = max((r * r) * (r * r) * narrower, least(roughness) ** 4)
                     else:
                         a, b, c = bilinear(tensors, w)
@@ -313,10 +328,10 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                     lobe[SPREAD], lobe[SPREAD + 1], lobe[SPREAD + 2] = none
                     if spreads:
                         if base.isotropic and (coloured or rough_x * rough_x + rough_y * rough_y > 1e-4):
-                            lean_x = part_x * part_x * (colour_x - 4.0 * rough_x)
-                            lean_y = part_y * part_y * (colour_y - 4.0 * rough_y)
+                            lean_x = own_x * own_x * (colour_x - 4.0 * rough_x)
+                            lean_y = own_y * own_y * (colour_y - 4.0 * rough_y)
                             lobe[0], lobe[1], lobe[2] = leaned(n, length, normals, fx, fy, lean_x, lean_y)
-                        xx, yy, xy = spread_tensor(n, normals, fx, fy, part_x / length, part_y / length)
+                        xx, yy, xy = spread_tensor(n, normals, fx, fy, own_x / length, own_y / length)
                         lobe[SPREAD], lobe[SPREAD + 1], lobe[SPREAD + 2] = xx, yy, xy
                         mean_spread += weight * min((xx + yy) * inverse, 1.0)
                     if base.has_diffuse:
