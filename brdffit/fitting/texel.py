@@ -55,7 +55,6 @@ from brdffit.fitting.status import (
 from brdffit.halfangle.albedo import albedo_of, albedo_of_lobes
 from brdffit.halfangle.apparent_lobe import (
     add_defensive_lobe,
-    add_guard,
     gather_lobes,
     normalise_mixture,
     normalise_shapes,
@@ -76,7 +75,16 @@ from brdffit.halfangle.closed_forms import (
 from brdffit.halfangle.lights import BASE_BLUR, evaluate_table, points_of, segment, values_of
 from brdffit.halfangle.merging import merge_lobes
 from brdffit.halfangle.objective import FREE, HELD, HOLDS, PARAMETERS
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, MIXTURE, SHAPE, WIDE_AXES, frame_lobes, place_nodes, weigh_nodes
+from brdffit.halfangle.quadrature import (
+    ALPHA_SQUARED,
+    MIXTURE,
+    SHAPE,
+    WIDE_AXES,
+    add_guard,
+    frame_lobes,
+    place_nodes,
+    weigh_nodes,
+)
 
 real = np.float32
 

@@ -51,8 +51,8 @@ _COLOURED = 1.05
 DIFFUSE_MOMENT = 12
 # Most samples of a stratum along one axis: a mirror of alpha 0.002 beside a wall would need too many.
 _MOST_CUTS = 16
-# How often, and with how much longer a step, a footprint is gathered again for want of room; a guard's share of nodes.
-_STEP_RETRIES, _STEP_GROWTH, _GUARD_SHARE = 3, 1.1, 0.25
+# A footprint that needs more samples than there is room for is gathered again with a longer step.
+_STEP_RETRIES, _STEP_GROWTH = 3, 1.1
 
 
 class Base(NamedTuple):
@@ -385,24 +385,6 @@ def add_defensive_lobe(lobes, count, share, m_x, m_y, a, b, c):
     lobes[count, 0], lobes[count, 1], lobes[count, 2] = -m_x * inverse, -m_y * inverse, inverse
     lobes[count, TENSOR], lobes[count, TENSOR + 1], lobes[count, TENSOR + 2] = tensor_of_log(a, b, c)
     lobes[count, MIXTURE] = share
-
-
-@kernel
-def add_guard(lobes, count, theta):
-    """Insert the lobe ``theta`` (6,) before the defensive one, without colour: it draws nodes and adds nothing.
-
-    The tensors of ``lobes`` must be full ones. It gets a quarter of the mixture; all other shares shrink alike.
-    """
-    for k in range(lobes.shape[1]):
-        lobes[count + 1, k], lobes[count, k] = lobes[count, k], 0.0
-    inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
-    lobes[count, 0], lobes[count, 1], lobes[count, 2] = -theta[0] * inverse, -theta[1] * inverse, inverse
-    xx, yy, xy = tensor_of_log(theta[2], theta[3], theta[4])
-    lobes[count, TENSOR], lobes[count, TENSOR + 1], lobes[count, TENSOR + 2] = xx, yy, xy
-    lobes[count, SHAPE] = lobes[0, SHAPE]
-    for i in range(count + 2):
-        lobes[i, MIXTURE] *= 1.0 - _GUARD_SHARE
-    lobes[count, MIXTURE] = _GUARD_SHARE
 
 
 @kernel

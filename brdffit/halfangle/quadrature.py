@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from brdffit._jit import inline, kernel, types
 from brdffit.halfangle.density import half_angle_density
-from brdffit.halfangle.frame import half_powers, tangent_frame
+from brdffit.halfangle.frame import half_powers, tangent_frame, tensor_of_log
 from brdffit.models.elementary import inverse_root, reciprocal
 from brdffit.models.ggx import profile  # bound anew for other source models
 from brdffit.models.ggx import profile as ggx_profile
@@ -51,6 +51,9 @@ LOBE_COLUMNS = 32
 H_X, H_Y, H_Z, RED, GREEN, BLUE, DENSITY, WEIGHT, MEASURE = range(9)
 NODE_ROWS = 9
 
+# Share of the nodes that a guard lobe draws.
+_GUARD_SHARE = 0.25
+
 # Powers of the plastic number's reciprocal: the R2 sequence, an additive recurrence of low discrepancy (Roberts 2018).
 _R2 = (0.7548776662466927, 0.5698402909980532)
 
@@ -67,6 +70,24 @@ def lattice(nodes: int, shift: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> 
     # The lobe's far tail (r > 100) is cut: no node there carries weight.
     radius = np.sqrt(u / np.maximum(1.0 - u, 1e-4))
     return np.stack([choice, radius * np.cos(angle), radius * np.sin(angle)]).astype(np.float32)
+
+
+@kernel
+def add_guard(lobes, count, theta):
+    """Insert the lobe ``theta`` (6,) before the defensive one, without colour: it draws nodes and adds nothing.
+
+    The tensors of ``lobes`` must be full ones. It gets a quarter of the mixture; all other shares shrink alike.
+    """
+    for k in range(lobes.shape[1]):
+        lobes[count + 1, k], lobes[count, k] = lobes[count, k], 0.0
+    inverse = 1.0 / math.sqrt(1.0 + theta[0] * theta[0] + theta[1] * theta[1])
+    lobes[count, 0], lobes[count, 1], lobes[count, 2] = -theta[0] * inverse, -theta[1] * inverse, inverse
+    xx, yy, xy = tensor_of_log(theta[2], theta[3], theta[4])
+    lobes[count, TENSOR], lobes[count, TENSOR + 1], lobes[count, TENSOR + 2] = xx, yy, xy
+    lobes[count, SHAPE] = lobes[0, SHAPE]
+    for i in range(count + 2):
+        lobes[i, MIXTURE] *= 1.0 - _GUARD_SHARE
+    lobes[count, MIXTURE] = _GUARD_SHARE
 
 
 @inline
