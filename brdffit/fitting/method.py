@@ -50,7 +50,7 @@ _LEAST_PIECES = 32
 # From 16 texels on two lobes are often nearly as good; with few nodes, noise makes single texels wide, and these shine
 # in the dark.
 _WIDE_NODES = ((16, 4), (4, 2))
-# Samples of a footprint from which on the noise of random points averages out, under lights with a size.
+# Samples of a pixel's area from which on the noise of random points averages out, under lights with a size.
 _MANY_SAMPLES = 256
 # Texels fitted to estimate a level's mean error, and the fewest texels of a level for which that pays.
 _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
@@ -190,7 +190,7 @@ def level_rules(
     most = math.ceil(quality.most * pixels * (0.5 if lights[0, BASE_BLUR] > 0.0 else 1.0))
     chosen = strata(pixel_filter, base_size, size, per_texel, most, mip_level, quality.merge)
     sized = lights[0, BASE_BLUR] > 0.0
-    scatter = bool(sized and chosen.samples >= _MANY_SAMPLES)
+    scatter = bool(sized and chosen.samples >= _MANY_SAMPLES * pixels * pixels)
     chosen = chosen._replace(light=float(lights[0, BASE_BLUR]), scatter=scatter)
     room = chosen.samples if scatter else max(quality.room, 2 * chosen.samples)
     return LevelRules(chosen, room, lights, points)
