@@ -771,6 +771,22 @@ def test_the_judge_s_table(tmp_path):
     found = {row["method"]: row["snr"] for row in json.loads(rows.read_text())}
     assert list(found) == ["learned", "latent", "mipnet", "lean", "bfgs"] and len(found["lean"]) == 5
     assert np.mean(found["bfgs"]) > np.mean(found["lean"])
+    result = CliRunner().invoke(main, [*asked[:3], "--methods", "lean", "--anisotropy", "4", "-o", str(rows)])
+    assert result.exit_code == 0, result.output
+    assert json.loads(rows.read_text())[0]["snr"] != found["lean"]
+
+
+def test_what_a_loss_reaches_is_told_by_processor_time(tmp_path):
+    from benchmarks.latent_losses import WAYS, reached
+    from brdffit.learned.latent_training import LatentTask
+
+    source = write_set(tmp_path / "one", bumpy(64))
+    for loss, rate in WAYS.values():
+        task = LatentTask([source], [], 0, 2, loss)
+        task.highest = task.highest if rate is None else rate
+        ((steps, figure),) = reached(task, 0.005)
+        assert steps >= 1 and math.isfinite(figure)
+    assert task.rate(200, 0.0) == 5e-5
 
 
 def test_weights_of_the_other_method_are_refused(tmp_path):

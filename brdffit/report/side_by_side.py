@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from brdffit.report.records import Comparison, SetResult, View
 from brdffit.report.summary import DISTANCES, GROUPS, fit_name, view_of
 
-#: Side in pixels of a cell: the middle of a view, or all of it, enlarged by a whole factor where it is smaller.
+#: Most pixels along the side of a cell: the middle of a view, or all of it, enlarged by a whole factor where that fits.
 CELL = 176
-_GAP, _LEFT, _HEADER, _CAPTION = 6, 92, 30, 18
+_GAP, _LEFT, _HEADER, _CAPTION, _CAPTION_WIDTH = 6, 92, 30, 18, 120
 _INK, _DIM, _GROUND = (17, 24, 39), (107, 114, 128), (255, 255, 255)
 #: Methods from plain averages to the fit; others come before the fit, in their own order.
 _ORDER = ("naive", "lean", "vmf", "mipnet", "latent", "learned")
@@ -56,26 +56,29 @@ def _composed(columns: Mapping[str, View], methods: Sequence[str], pictures: Map
     from PIL import Image, ImageDraw, ImageFont
 
     names = [*methods, "reference"]
-    step = CELL + _CAPTION + _GAP
-    size = (_LEFT + len(columns) * (CELL + _GAP), _HEADER + len(names) * step)
+    widest = max(max(pictures[view.reference].shape[:2]) for view in columns.values())
+    side = min(CELL, widest * max(1, CELL // widest))
+    # Captions need some width, however small the cells are.
+    across, step = max(side, _CAPTION_WIDTH) + _GAP, side + _CAPTION + _GAP
+    size = (_LEFT + len(columns) * across, _HEADER + len(names) * step)
     sheet = Image.new("RGB", size, _GROUND)
     draw, font, small = ImageDraw.Draw(sheet), ImageFont.load_default(15), ImageFont.load_default(12)
     for row, name in enumerate(names):
-        draw.text((4, _HEADER + row * step + CELL // 2), name, _INK, font, anchor="lm")
+        draw.text((4, _HEADER + row * step + side // 2), name, _INK, font, anchor="lm")
     for column, (distance, view) in enumerate(columns.items()):
-        left = _LEFT + column * (CELL + _GAP)
+        left = _LEFT + column * across
         head = distance if view.level is None else f"{distance}, level {view.level:g}"
-        draw.text((left + CELL // 2, _HEADER // 2), head, _INK, font, anchor="mm")
+        draw.text((left + side // 2, _HEADER // 2), head, _INK, font, anchor="mm")
         shots = {shot.method: shot for shot in view.shots}
         for row, name in enumerate(names):
             shot, top = shots.get(name), _HEADER + row * step
             if shot is None and name != names[-1]:
                 continue
             path = view.reference if shot is None else shot.picture
-            sheet.paste(Image.fromarray(cropped(pictures[path])), (left, top))
+            sheet.paste(Image.fromarray(cropped(pictures[path], side)), (left, top))
             if shot is not None and shot.figures is not None:
                 text = f"{shot.figures.snr_db:.1f} dB, FLIP {shot.figures.flip_ldr:.3f}"
-                draw.text((left + CELL // 2, top + CELL + _CAPTION // 2), text, _DIM, small, anchor="mm")
+                draw.text((left + side // 2, top + side + _CAPTION // 2), text, _DIM, small, anchor="mm")
     return np.asarray(sheet)
 
 
