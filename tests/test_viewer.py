@@ -15,7 +15,7 @@ from export_support import averaged_pyramid, random_svbrdf
 
 from brdffit.cli import main
 from brdffit.colour import decode_srgb
-from brdffit.errors import InputError, UnknownNameError
+from brdffit.errors import InputError, OutputError, UnknownNameError
 from brdffit.export.manifest import build_manifest
 from brdffit.export.writing import write_baked
 from brdffit.files.image_io import write_png
@@ -234,3 +234,17 @@ def test_an_environment_file_lights_the_page(tmp_path):
     write_png(sky, np.full((16, 32, 1), 128, np.uint8))
     with pytest.raises(InputError, match="expected an RGB picture of light"):
         view(folder, tmp_path / "view.html", environment=str(sky))
+
+
+def test_an_output_that_is_a_folder_is_told_before_the_bake(tmp_path):
+    folder = bake_folder(tmp_path / "set")
+    with pytest.raises(OutputError, match="is a folder, expected a file"):
+        view(folder, tmp_path)
+
+
+def test_a_bake_without_lobes_is_told(tmp_path):
+    folder = bake_folder(tmp_path / "set")
+    for name in ("normal", "roughness"):
+        (folder / f"{name}.exr").unlink()
+    with pytest.raises(InputError, match="holds no levels of lobes"):
+        view(folder, tmp_path / "view.html")

@@ -8,7 +8,6 @@ depend on each other, so bands of them go to threads, and the bytes are the same
 from __future__ import annotations
 
 import importlib
-import os
 import struct
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from brdffit.errors import BrdffitError, UnknownNameError
 from brdffit.export.bc4 import encode_bc4
 from brdffit.export.formats import PixelFormat
+from brdffit.machine import core_count
 
 #: Time that an encoder may take; below, the profiles of ISPC's BC7 and BC6H and the efforts of Basis that they stand
 #: for.
@@ -82,7 +82,7 @@ def encode_level(pixels: PixelFormat, texels: NDArray, effort: str = "good", thr
     if len(bands) == 1:
         data = _blocks(pixels, bands[0], effort)
     else:
-        with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+        with ThreadPoolExecutor(threads or core_count()) as pool:
             data = b"".join(pool.map(lambda band: _blocks(pixels, band, effort), bands))
     expected = pixels.level_bytes(texels.shape[:2])
     if len(data) != expected:
@@ -112,7 +112,7 @@ def encode_uastc(
     # Below quality 100 the encoder trades accuracy for bytes that only Zstandard would save.
     stored = encoder.encode_raw_mips_to_ktx2(
         raw, has_alpha=has_alpha, codec="uastc", quality=100, effort=_UASTC[effort], srgb=pixels.srgb,
-        linear=not pixels.srgb, threads=threads or os.cpu_count() or 1, check_for_alpha=False, force_alpha=has_alpha,
+        linear=not pixels.srgb, threads=threads or core_count(), check_for_alpha=False, force_alpha=has_alpha,
     )  # fmt: skip
     return _levels_of(stored, len(levels))
 

@@ -11,7 +11,6 @@ import dataclasses
 import hashlib
 import json
 import math
-import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 
 from brdffit.files.atomic import first_other
 from brdffit.files.image_io import file_sha256
-from brdffit.machine import versions
+from brdffit.machine import core_count, versions
 from brdffit.methods import Baked, Level
 
 FORMAT = 1
@@ -77,7 +76,7 @@ def build_manifest(
         "notes": [*baked.notes, *notes],
         "volatile": {
             "seconds": [level.seconds if level else None for level in baked.levels],
-            "threads": threads or os.cpu_count(),
+            "threads": threads or core_count(),
             "machine": f"{platform.system()} {platform.machine()}",
         },
     }

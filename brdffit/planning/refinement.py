@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 import time
 
 import numpy as np
 
 from brdffit.fitting.options import FitOptions
+from brdffit.machine import core_count
 from brdffit.methods import DEFAULT, Material, get_method
 from brdffit.planning.trial import UNSEEN, Loss
 from brdffit.render.lights import Lights
@@ -49,7 +49,7 @@ def try_refinement(
             )
             start = time.process_time()
             baked = get_method(DEFAULT).bake(Material(crop), asked)
-            took.append((time.process_time() - start) / (options.threads or os.cpu_count() or 1))
+            took.append((time.process_time() - start) / (options.threads or core_count()))
             picture = render_appearance(baked.appearance, scene, lights).astype(np.float64)
             error.append(float(np.sum((picture - truth[0]) * (picture - truth[1]))))
         square = max(float(np.sum(truth[0] * truth[1])), 1e-30)

@@ -81,7 +81,7 @@ class SurfaceWork:
             InputError: for a set that cannot be used.
         """
         tell(f"{self.surface.name}: reading")
-        base = read_set(self.texture_set, {}, FitOptions()).material.svbrdf
+        base = read_set(self.texture_set, {}, FitOptions()).material.svbrdf.over_black()
         seen = reached_levels(self.scene, self.surface, base.size)
         facts = settled(self.scene, base, (seen.first, seen.last))
         get_method(DEFAULT).prepare(Material(base), FitOptions(model=self.scene.model))
@@ -120,14 +120,14 @@ class SurfaceWork:
 
     def outcome(self, planned: SurfacePlan, baked: Baked, seconds: float) -> tuple[Outcome, Loss]:
         """Outcome of a plan on texels of this seed: seconds and SNR, and the loss against everything on."""
-        base = read_set(self.texture_set, {}, FitOptions()).material.svbrdf
+        base = read_set(self.texture_set, {}, FitOptions()).material.svbrdf.over_black()
         seen = reached_levels(self.scene, self.surface, base.size)
         sample = self._sample(base, seen)
         everything = self._everything(settled(self.scene, base, planned.reach))
         on = sample.versions(self._setup(seen, everything))
         sample.aim(on)
         assert baked.lobes is not None
-        errors = sample.errors([on, sample.picked([level.svbrdf for level in baked.lobes.levels])])
+        errors = sample.errors([on, sample.picked([level.svbrdf.over_black() for level in baked.lobes.levels])])
         return Outcome(seconds=seconds, snr_db=snr_db(errors, 1)), loss(errors, 1)
 
     def _try(

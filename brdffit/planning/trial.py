@@ -11,7 +11,6 @@ remaining noise is estimated by resampling texels (Efron's bootstrap).
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -23,6 +22,7 @@ from brdffit.fitting.averaging import averaged_levels
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
 from brdffit.halfangle.measure import random_texels
+from brdffit.machine import core_count
 from brdffit.models import get_model
 from brdffit.planning.effects import Setup
 from brdffit.render.pairs import pair_errors
@@ -180,7 +180,7 @@ class Sample:
         return total
 
     def _seconds_a_texel(self, level: int, setups: Sequence[Setup]) -> list[float]:
-        texels, threads = math.prod(self.sizes[level]), self.threads or os.cpu_count() or 1
+        texels, threads = math.prod(self.sizes[level]), self.threads or core_count()
         many = random_texels(self.sizes[level], min(texels, _MOST_TEXELS), self._seed(level) + 500)
         runs: list[_Run | None] = []
         pilots = []
@@ -296,4 +296,4 @@ def timed(work: Callable[[], object], threads: int | None) -> float:
     """Processor seconds of ``work`` divided by the number of threads (None: all cores), never 0."""
     start = time.process_time()
     work()
-    return max(time.process_time() - start, 1e-6) / (threads or os.cpu_count() or 1)
+    return max(time.process_time() - start, 1e-6) / (threads or core_count())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +15,7 @@ from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.measure import lobe_parameters, random_texels, snr
+from brdffit.machine import core_count
 from brdffit.methods import Material, get_method
 from brdffit.models import get_model
 from brdffit.svbrdf import Svbrdf, level_sizes
@@ -48,7 +48,8 @@ _SEED = 77
 
 
 def measure_set(name: str, svbrdf: Svbrdf, size: Size, tell: Tell) -> tuple[list[Point], list[Solver]]:
-    """Points of every candidate and of every optimiser on one set."""
+    """Points of every candidate and of every optimiser on one set; a cut-out is composited over black."""
+    svbrdf = svbrdf.over_black()
     base = base_of(svbrdf, get_model(svbrdf.model).default_shape)
     sizes = level_sizes(svbrdf.size, len(size.timed))
     texels = [random_texels(each, size.timed[k], seed=_SEED + k) for k, each in enumerate(sizes)]
@@ -165,4 +166,4 @@ def _timed(sample: LevelSample, candidate: Candidate, repeats: int) -> tuple[Lob
 
 def _per_texel(start: float, sample: LevelSample) -> float:
     """Processor seconds a texel since ``start``, divided by the number of cores."""
-    return (time.process_time() - start) / (os.cpu_count() or 1) / len(sample)
+    return (time.process_time() - start) / core_count() / len(sample)

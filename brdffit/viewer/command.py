@@ -11,7 +11,7 @@ from brdffit.errors import InputError
 from brdffit.export.manifest import FILE_NAME
 from brdffit.export.pictures import check_preset, stored_levels
 from brdffit.export.presets import get_preset
-from brdffit.files.atomic import write_text
+from brdffit.files.atomic import check_file, write_text
 from brdffit.files.image_io import read_mip_exr
 from brdffit.methods import Material, Pyramid, get_method
 from brdffit.pipeline import Phases, ProgressListener, bake_options, read_set, run
@@ -55,6 +55,8 @@ def view(
         check_preset(get_preset(preset))
     for method in methods:
         get_method(method)
+    output = Path(output)
+    check_file(output)
     sky = None if environment is None else sky_of(environment)
     notes = []
     pyramids: list[tuple[str, Pyramid | list[Svbrdf]]]
@@ -71,7 +73,6 @@ def view(
     panels = [(method, _levels(made)) for method, made in pyramids]
     if preset is not None and isinstance(pyramids[0][1], Pyramid):
         panels.append((f"{pyramids[0][0]}, preset {preset}", stored_levels(pyramids[0][1], get_preset(preset))))
-    output = Path(output)
     write_text(output, page_text(name, base, panels, sky=sky, notes=notes))
     return output
 
@@ -119,6 +120,8 @@ def _baked(folder: Path) -> tuple[str, Svbrdf, list[tuple[str, Pyramid | list[Sv
         name, method, model, wrap = (manifest[key] for key in ("name", "method", "model", "wrap"))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"'{folder / FILE_NAME}' is no manifest of a bake of lobes.") from error
+    if not (folder / "roughness.exr").is_file():
+        raise InputError(f"'{folder}' holds no levels of lobes, which the page draws: it was baked by '{method}'.")
     normals = read_mip_exr(folder / "normal.exr", "XYZ")
     tensors = read_mip_exr(folder / "roughness.exr", ["XX", "YY", "XY"])
     colours = [read_mip_exr(folder / f"{role}.exr", "RGB") for role in ("specular", "diffuse")]
