@@ -127,7 +127,7 @@ def show_rows(
     for i in range(columns.size):
         here = Strata(
             strata.x, strata.y, strata.weight_x, strata.weight_y, strata.jitter_x, strata.jitter_y, scale_x[i],
-            scale_y[i], strata.seed, strata.merge, strata.light,
+            scale_y[i], strata.seed, strata.merge, strata.light, strata.scatter,
         )  # fmt: skip
         count, _ = gather_lobes(base, here, STEP, columns[i], rows[i], gathered, diffuse_moment)
         red, green, blue, _ = normalise_mixture(gathered, count)

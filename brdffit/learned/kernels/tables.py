@@ -121,7 +121,7 @@ def tabulate_rows(
     for i in range(columns.size):
         here = Strata(
             strata.x, strata.y, strata.weight_x, strata.weight_y, strata.jitter_x, strata.jitter_y, scale_x[i],
-            scale_y[i], strata.seed, strata.merge, strata.light,
+            scale_y[i], strata.seed, strata.merge, strata.light, strata.scatter,
         )  # fmt: skip
         count, isotropic, red, green, blue, _ = prepare_lobes(base, here, columns[i], rows[i], lobes, diffuse_moment)
         lobe_moments(lobes, count, isotropic, moments[i])
