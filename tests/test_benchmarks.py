@@ -11,7 +11,7 @@ from click.testing import CliRunner
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed
 
-from benchmarks import bakes, effects, integrals, roofline  # noqa: E402
+from benchmarks import bakes, closed_times, effects, integrals, roofline  # noqa: E402
 from benchmarks.__main__ import main  # noqa: E402
 from benchmarks.accuracy import CLOSED_FORMS, compare_set, targets  # noqa: E402
 from benchmarks.materials import NAMED, accuracy_sets, load_procedural, tiled, write_tiled  # noqa: E402
@@ -46,6 +46,11 @@ def test_chance_and_integral_agree(hammered):
         chance, integral = integrals.compare(hammered, level, column, texel_row, pairs=60_000)
         assert abs(chance.value - integral.value) < integrals.AGREEMENT * chance.error
         assert chance.error < 0.3 * integral.value  # or anything would agree
+
+
+def test_times_are_of_each_method(hammered):
+    found = closed_times.medians(hammered, ("lean", "naive"), 2)
+    assert list(found) == ["lean", "naive"] and all(seconds > 0.0 for seconds in found.values())
 
 
 def test_a_sample_is_fitted_as_in_a_whole_bake(hammered):
