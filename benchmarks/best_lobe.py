@@ -68,7 +68,7 @@ class Patch:
         self.reference: Reference = bench.studio.reference(bench.base, scene, view.lit)
         # A single lobe is rendered as a texture of one texel.
         self.scene = _footprint(scene, (0.5, 0.5), (1.0, 1.0), (1, 1))
-        whole = bench.references_of_set[view.key].radiance
+        whole = bench.references[view.key].radiance
         self.exposure = metrics.exposure_of(whole)
         self.truth = metrics.tone_map(self.reference.radiance, self.exposure)
 
@@ -140,7 +140,6 @@ def measure(
 ) -> list[dict[str, object]]:  # fmt: skip
     """Rows of the table: each method, and the best lobe for each figure, averaged over the texels."""
     view = next(each for each in bench.views if each.key == key)
-    bench.references_of_set = bench.references()
     level = int(view.level or 0)
     pyramids = {column: each[level] for column, each in baked_levels(bench, columns).items()}
     names = [*columns, "best for SNR", "best displayed"]
@@ -181,7 +180,6 @@ def judge(
 ) -> Iterator[dict[str, object]]:
     """Yield one row a view of a set: the fit, the best closed form, the best lobe, that of all views; the verdict."""
     pyramids = baked_levels(bench, columns)
-    bench.references_of_set = bench.references()
     # A slanted plane and a sphere show several levels at once: no single texel answers for them.
     for distance in dict.fromkeys(view.distance for view in bench.views if view.key in keys and view.distance):
         views = [view for view in bench.views if view.distance == distance]

@@ -16,6 +16,7 @@ import hashlib
 import json
 import re
 import time
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,7 @@ class Bench:
         )  # fmt: skip
         self.views = still_views(self.base.size, len(level_sizes(self.base.size)), self.studio)
 
+    @cached_property
     def references(self) -> dict[str, Reference]:
         """The reference picture of each view, read from disk if it is there."""
         path = self.folder / "references.npz"
@@ -88,7 +90,7 @@ class Bench:
         }  # fmt: skip
 
     def _figures(self, appearance: Any, view: Still) -> tuple[dict[str, float], NDArray]:
-        reference = self.references_of_set[view.key]
+        reference = self.references[view.key]
         halves = self.studio.method(appearance, view.scene, view.lit)
         picture = halves.mean(axis=0)
         shown, truth = _displayed(picture, reference), _displayed(reference.radiance, reference)
@@ -106,7 +108,6 @@ class Bench:
         todo = [c for c in columns if anew or not (self.folder / f"{slug(c)}.json").is_file()]
         if not todo:
             return
-        self.references_of_set = self.references()
         for column in todo:
             start = time.perf_counter()
             record = self.measure(column)
