@@ -28,7 +28,7 @@ KNOWN: dict[tuple[str, str, str], str] = {
     ("turned", "steep valley", "blinn-phong"): _OPTIMA,
     ("start", "negative weights on needles", "blinn-phong"): _RESEARCHED,
     **{("seen: believed", case, "ggx"): _STEEP for case in ("horizon beside upright", "steep beside upright")},
-    ("seen: believed", "two needles far apart", "ggx"): _STREAK,
+    **{(law, "two needles far apart", "ggx"): _STREAK for law in ("seen: believed", "seen: turned")},
     **{
         ("seen: continuous", case, "ggx"): _STREAK
         for case in ("mirror on spread normals", "two needles far apart", "grooves of needles")
@@ -36,8 +36,9 @@ KNOWN: dict[tuple[str, str, str], str] = {
     **{
         (law, case, "ggx"): _STEEP
         for law in ("seen: continuous", "seen: turned")
-        for case in ("steep valley", "steep beside upright", "horizon beside upright")
+        for case in ("steep beside upright", "horizon beside upright")
     },
+    ("seen: continuous", "steep valley", "ggx"): _STEEP,
     **{("believed", _JUMPS, model): _STRATA for model in MODELS},
 }
 
