@@ -177,6 +177,7 @@ def test_the_report_links_a_page_of_the_viewer_and_keeps_it_when_drawn_anew(tmp_
     assert result.exit_code == 1 and "viewer/set-1.html" in result.output
 
 
+@pytest.mark.slow
 def test_a_set_that_the_viewer_cannot_draw_has_no_page():
     asked = dataclasses.replace(small_ask("naive"), viewer=True)
     made = compare([material().replace(model="beckmann")], asked)

@@ -58,6 +58,7 @@ def test_methods_of_the_table_stand_where_none_are_named():
     assert methods_of_table({"neural.file": "some.npz"}) == (*METHODS, "neural")
 
 
+@pytest.mark.slow
 def test_a_neural_material_from_a_file_is_a_method_of_the_table(tmp_path, monkeypatch):
     make_set("pebbles", tmp_path / "pebbles", 32)
     file, report = tmp_path / "pebbles.npz", tmp_path / "report"

@@ -152,7 +152,11 @@ write(sys.argv[3], seed=1)
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=["kill", "term", "int"])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.slow) for each in (signal.SIGTERM, signal.SIGINT))],
+    ids=["kill", "term", "int"],
+)
 def test_a_killed_bake_leaves_what_was_there(tmp_path, number):
     folder = tmp_path / "set"
     write(folder)

@@ -644,7 +644,9 @@ def write_set(folder, svbrdf):
     return folder
 
 
-@pytest.mark.parametrize("kind", ["learned", "latent", "mipnet"])
+@pytest.mark.parametrize(
+    "kind", ["learned", *(pytest.param(each, marks=pytest.mark.slow) for each in ("latent", "mipnet"))]
+)
 def test_training_by_command_repeats_and_resumes(kind, tmp_path, monkeypatch):
     from brdffit.learned import latent_training, residual_training
     from brdffit.nets import training
@@ -670,6 +672,7 @@ def test_training_by_command_repeats_and_resumes(kind, tmp_path, monkeypatch):
     assert result.exit_code == 1 and "There is no checkpoint" in result.output
 
 
+@pytest.mark.slow
 def test_a_stopped_training_goes_on_where_it_was(tmp_path, monkeypatch):
     """Six steps at a stretch, and three, a crash and three more, are the same."""
     from brdffit.learned import residual_training

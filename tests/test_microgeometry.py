@@ -344,6 +344,7 @@ def test_measured_queries_are_read_as_written_and_others_refused(tmp_path):
         read_queries(tmp_path / "bad.npz")
 
 
+@pytest.mark.slow
 def test_the_tracer_comes_from_the_disk_in_a_second_process():
     """It is compiled for kernels as values: for the kernels themselves each process would compile it anew."""
     code = "from brdffit.microgeometry import tracer\nprint(sum(tracer.reflect_loop().stats.cache_misses.values()))"

@@ -95,6 +95,7 @@ def test_the_coarsest_width_is_the_variance_of_all_slopes_and_lobes():
     np.testing.assert_allclose(np.exp(-4.0 * network.pyramid.reshape(-1, 8)[-1, 2]), expected, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_guided_material_learns_the_parallax_and_keeps_what_the_surface_gives(tmp_path):
     source = waves()
     task = NeuralTask(source, (16, 16), seed=2, threads=1)

@@ -77,6 +77,7 @@ def value(tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_an_edited_model_gives_its_new_values_in_the_next_process(value):
     first = value(1.0, 1.0)
     assert value(1.0, 1.0) == first

@@ -50,8 +50,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-#: A plan takes ten seconds of a core: one scene belongs to the quick tests.
-SCENES = ["glossy-tiles", *(pytest.param(name, marks=pytest.mark.slow) for name in ("hammered-metal", "plaster-wall"))]
+SCENES = ["glossy-tiles", "hammered-metal", "plaster-wall"]
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +154,7 @@ def test_facts_follow_target_set_and_reach(folder):
     assert "correlation" in settled(scene, even, (0, 4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_what_is_dropped_loses_no_more_than_the_plan_says(folder, plan_of, name):
     """On texels and directions that the plan has not seen, within the noise of those."""
@@ -167,6 +167,7 @@ def test_what_is_dropped_loses_no_more_than_the_plan_says(folder, plan_of, name)
     assert planned.lost_at_most_db <= scene.budget.db
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_no_effect_does_harm(plan_of, name):
     """With an effect the SNR is no lower than without, but for noise."""

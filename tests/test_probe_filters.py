@@ -212,7 +212,15 @@ def test_what_the_tree_lacks_of_the_lobe_is_made_good():
     assert abs(float((found - exact).sum() / exact.sum())) < 3e-3
 
 
-@pytest.mark.parametrize("source, n, alpha", [(64, 32, 0.02), (64, 16, 0.04), (32, 8, 0.03), (32, 1, 0.02)])
+@pytest.mark.parametrize(
+    "source, n, alpha",
+    [
+        pytest.param(64, 32, 0.02, marks=pytest.mark.slow),
+        (64, 16, 0.04),
+        (32, 8, 0.03),
+        (32, 1, 0.02),
+    ],
+)
 def test_the_sum_of_a_narrow_lobe_over_texels(source, n, alpha):
     at, angle = directions(source).reshape(-1, 3), np.tile(solid_angles(source).ravel(), 6)
     normals = directions(n).reshape(-1, 3)

@@ -25,9 +25,16 @@ MAKE = [line for line in COMMANDS if line.startswith("make ")]
 BRDFFIT = [line for line in COMMANDS if line.startswith("brdffit ")]
 PROGRAMS = re.findall(r"```python\n(.*?)```", TEXT, re.S)
 SETS = ("glossy-tiles", "grooved-record", "hammered-metal", "brushed-metal", "pebbles", "plaster-wall", "rocky-terrain")
-# Planning measures each effect of a scene, a comparison draws each method in every light, and a neural material is
-# learned for minutes before it is drawn.
-SLOW = ("brdffit plan", "brdffit bake --scene", "brdffit compare", "brdffit neural")
+# Planning measures each effect of a scene, a comparison draws each method in every light, a neural material is learned
+# for minutes before it is drawn, a landscape scans a domain, and a probe is filtered to a tolerance.
+SLOW = (
+    "brdffit plan",
+    "brdffit bake --scene",
+    "brdffit compare",
+    "brdffit neural",
+    "brdffit landscape",
+    "brdffit probe",
+)
 
 
 @pytest.fixture(scope="module")
