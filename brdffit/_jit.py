@@ -67,7 +67,7 @@ _use_wide_vectors()
 
 import numba  # noqa: E402
 from numba import typeof as numba_type  # noqa: E402, F401
-from numba import types  # noqa: E402, F401  (kernel files take their type names from here)
+from numba import types  # noqa: E402  (kernel files take their type names from here)
 from numba.core import codegen  # noqa: E402
 
 
@@ -113,7 +113,9 @@ def _compile(function: Callable, **flags: Any) -> Any:
     """Compile a function on its first call; its cache is in the folder of its group.
 
     Reference counts are left out unless the function allocates arrays. They would cost two atomic additions for each
-    row that is taken of an array, and a kernel's arrays are kept alive by its caller anyway.
+    row that is taken of an array, and a kernel's arrays are kept alive by its caller anyway. But a caller that counts
+    gives up one reference to an array that it is handed back, and frees it too early if none was added: what returns
+    arrays has to be a ``part``, which becomes the caller's own code, or the compilation fails.
     """
     flags["_nrt"] = bool(_ALLOCATORS & set(function.__code__.co_names))
     room = function.__module__.removeprefix("brdffit.").partition(".")[0]
@@ -121,7 +123,25 @@ def _compile(function: Callable, **flags: Any) -> Any:
     foreign = _foreign_sources(function)
     folder = CACHE_FOLDERS[group] + (f"-{_digest_of(foreign)}" if foreign else "")
     numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]  # Numba reads it at decoration
-    return numba.njit(**flags)(function)
+    compiled = numba.njit(**flags)(function)
+    if not flags["_nrt"] and flags.get("inline") != "always":
+        add = compiled.add_overload
+
+        def checked(result: Any) -> Any:
+            if _holds_array(result.signature.return_type):
+                raise TypeError(f"{function.__qualname__} returns an array without counting it: make it a part")
+            return add(result)
+
+        compiled.add_overload = checked
+    return compiled
+
+
+def _holds_array(kind: Any) -> bool:
+    # Numba itself refuses to return plain arrays uncounted, but not tuples of them.
+    if isinstance(kind, types.BaseTuple):
+        inside: Any = kind
+        return any(_holds_array(each) for each in inside)
+    return isinstance(kind, types.Array)
 
 
 #: Modules that are not searched for sources of a user's lobe: Python's own, and those whose functions Numba replaces.

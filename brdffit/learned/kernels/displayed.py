@@ -24,14 +24,13 @@ from brdffit.halfangle.apparent_lobe import (
     DIFFUSE_MOMENT,
     Base,
     Strata,
-    add_defensive_lobe,
     example_base,
     example_strata,
     gather_lobes,
     normalise_mixture,
     normalise_shapes,
 )
-from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, light_lobes, widen_lobes
+from brdffit.halfangle.closed_forms import light_lobes, widen_lobes
 from brdffit.halfangle.lights import BASE_BLUR, EVALUATION, evaluate_table, points_of, segment, sizes_of, table_of
 from brdffit.halfangle.objective import (
     BOUNDED,
@@ -60,8 +59,8 @@ from brdffit.halfangle.quadrature import (
     tabulate_type,
     weigh_nodes,
 )
-from brdffit.learned.kernels.moments import CLOSED, DARK, FEATURES, LOG_TENSOR, MOMENTS, all_features
-from brdffit.learned.kernels.tables import EXPONENT, STEP
+from brdffit.learned.kernels.moments import CLOSED, DARK, FEATURES, MOMENTS
+from brdffit.learned.kernels.tables import EXPONENT, STEP, add_closed_form, one_closed_form, recentred
 from brdffit.nets.doubles import EIGHT
 from brdffit.roughness import DEFAULT_MIN_ROUGHNESS
 
@@ -125,10 +124,7 @@ def show_rows(
     eightfold, feature, closed = np.zeros(MOMENTS * EIGHT), np.zeros(FEATURES * EIGHT), np.zeros(CLOSED * EIGHT)
     diffuse_moment, colour, setting = np.zeros(DIFFUSE_MOMENT), np.zeros(3), np.zeros(SETTINGS)
     for i in range(columns.size):
-        here = Strata(
-            strata.x, strata.y, strata.weight_x, strata.weight_y, strata.jitter_x, strata.jitter_y, scale_x[i],
-            scale_y[i], strata.seed, strata.merge, strata.light, strata.scatter,
-        )  # fmt: skip
+        here = recentred(strata, scale_x[i], scale_y[i])
         count, _ = gather_lobes(base, here, STEP, columns[i], rows[i], gathered, diffuse_moment)
         red, green, blue, _ = normalise_mixture(gathered, count)
         colour[0], colour[1], colour[2] = max(red, 1e-9), max(green, 1e-9), max(blue, 1e-9)
@@ -138,21 +134,14 @@ def show_rows(
             x, y, z = diffuse_moment[3 * k], diffuse_moment[3 * k + 1], diffuse_moment[3 * k + 2]
             bright += math.sqrt(x * x + y * y + z * z)
         glow[i] = math.log(bright / max(red + green + blue, 1e-9) + DARK)
-        for k in range(MOMENTS):
-            for j in range(EIGHT):
-                eightfold[k * EIGHT + j] = moments[i, k]
-        all_features(eightfold, EIGHT, feature, closed)
+        one_closed_form(moments[i], eightfold, feature, closed)
         for s in range(table.lights.shape[0]):
             for j in range(count):
                 for k in range(WIDE_AXES):
                     lobes[j, k] = gathered[j, k]
             light = table.lights[s, BASE_BLUR]
             widen_lobes(lobes, count, base.isotropic, base.widening, light)
-            add_defensive_lobe(
-                lobes, count, DEFENSIVE_SHARE, -closed[0] / closed[2 * EIGHT], -closed[EIGHT] / closed[2 * EIGHT],
-                min(closed[LOG_TENSOR * EIGHT], 0.0), min(closed[(LOG_TENSOR + 1) * EIGHT], 0.0),
-                closed[(LOG_TENSOR + 2) * EIGHT],
-            )  # fmt: skip
+            add_closed_form(lobes, count, closed)
             light_lobes(lobes, count, count + 1, False, light)
             normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
             frame_lobes(lobes, count, False)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit._jit import kernel, numba_type, types
+from brdffit._jit import kernel, numba_type, part, types
 from brdffit.fitting.batch import ModelKernels, model_kernels
 from brdffit.halfangle.apparent_lobe import (
     DIFFUSE_MOMENT,
@@ -109,32 +109,48 @@ def prepare_lobes(base, strata, column, row, lobes, diffuse_moment):
     return count, isotropic, red, green, blue, some
 
 
+@part
+def recentred(strata, scale_x, scale_y):
+    """The strata of a level with other scales, which put a footprint's centre where it is wanted."""
+    return Strata(
+        strata.x, strata.y, strata.weight_x, strata.weight_y, strata.jitter_x, strata.jitter_y, scale_x, scale_y,
+        strata.seed, strata.merge, strata.light, strata.scatter,
+    )  # fmt: skip
+
+
+@kernel
+def one_closed_form(moments, eightfold, feature, closed):
+    """``closed`` <- the closed form of moments (MOMENTS,); ``all_features`` takes eight at a time, here equal ones."""
+    for k in range(MOMENTS):
+        for j in range(EIGHT):
+            eightfold[k * EIGHT + j] = moments[k]
+    all_features(eightfold, EIGHT, feature, closed)
+
+
+@kernel
+def add_closed_form(lobes, count, closed):
+    """Add the closed form of ``one_closed_form`` as the defensive lobe, so that nodes stand where it shines."""
+    add_defensive_lobe(
+        lobes, count, DEFENSIVE_SHARE, -closed[0] / closed[2 * EIGHT], -closed[EIGHT] / closed[2 * EIGHT],
+        min(closed[LOG_TENSOR * EIGHT], 0.0), min(closed[(LOG_TENSOR + 1) * EIGHT], 0.0),
+        closed[(LOG_TENSOR + 2) * EIGHT],
+    )  # fmt: skip
+
+
 @kernel
 def tabulate_rows(
     base, strata, columns, rows, scale_x, scale_y, points, lobes, nodes, out, norm, colour, moments, tabulate_kernel,
     source_log_normalisation,
 ):  # fmt: skip
     """Fill a table for texels (columns[i], rows[i]); scales (n,) put each footprint's centre where it should be."""
-    # Closed forms come eight at a time; one is wanted.
     eightfold, feature, closed = np.zeros(MOMENTS * EIGHT), np.zeros(FEATURES * EIGHT), np.zeros(CLOSED * EIGHT)
     diffuse_moment = np.zeros(DIFFUSE_MOMENT)
     for i in range(columns.size):
-        here = Strata(
-            strata.x, strata.y, strata.weight_x, strata.weight_y, strata.jitter_x, strata.jitter_y, scale_x[i],
-            scale_y[i], strata.seed, strata.merge, strata.light, strata.scatter,
-        )  # fmt: skip
+        here = recentred(strata, scale_x[i], scale_y[i])
         count, isotropic, red, green, blue, _ = prepare_lobes(base, here, columns[i], rows[i], lobes, diffuse_moment)
         lobe_moments(lobes, count, isotropic, moments[i])
-        for k in range(MOMENTS):
-            for j in range(EIGHT):
-                eightfold[k * EIGHT + j] = moments[i, k]
-        all_features(eightfold, EIGHT, feature, closed)
-        a, b = closed[LOG_TENSOR * EIGHT], closed[(LOG_TENSOR + 1) * EIGHT]
-        c = closed[(LOG_TENSOR + 2) * EIGHT]
-        add_defensive_lobe(
-            lobes, count, DEFENSIVE_SHARE, -closed[0] / closed[2 * EIGHT], -closed[EIGHT] / closed[2 * EIGHT],
-            min(a, 0.0), min(b, 0.0), c,
-        )  # fmt: skip
+        one_closed_form(moments[i], eightfold, feature, closed)
+        add_closed_form(lobes, count, closed)
         normalise_shapes(lobes, count, base.has_shape, source_log_normalisation)
         frame_lobes(lobes, count, isotropic)
         place_nodes(lobes, count, points, EXPONENT, nodes)
