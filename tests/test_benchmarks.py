@@ -11,7 +11,7 @@ from click.testing import CliRunner
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed
 
-from benchmarks import bakes, closed_times, effects, integrals, roofline  # noqa: E402
+from benchmarks import bakes, closed_times, effects, integrals, qualities, roofline  # noqa: E402
 from benchmarks.__main__ import main  # noqa: E402
 from benchmarks.accuracy import CLOSED_FORMS, compare_set, targets  # noqa: E402
 from benchmarks.materials import NAMED, accuracy_sets, load_procedural, tiled, write_tiled  # noqa: E402
@@ -26,6 +26,8 @@ from brdffit.halfangle.measure import lobe_parameters  # noqa: E402
 from brdffit.methods import get_method  # noqa: E402
 from brdffit.models import get_model  # noqa: E402
 from brdffit.textures.procedural import make_set  # noqa: E402
+from brdffit.tradeoff.run import Size  # noqa: E402
+from brdffit.tradeoff.seen import Rule  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +181,16 @@ def test_rates_and_times_are_those_of_texels_and_their_seconds():
     assert found["k/s level 4"] == pytest.approx(0.5), "the last level stands in"
     assert found["pyramid s"] == pytest.approx(6e-3)
     assert found["rate, level 1"] == pytest.approx(0.5) and found["time, pyramid"] == pytest.approx(1.2)
+
+
+def test_qualities_are_held_against_the_best_lobe(hammered, monkeypatch):
+    monkeypatch.setattr(qualities, "crop", lambda name, path: hammered)
+    tiny = Size((64, 32, 16, 8, 4, 4), (8, 8, 4, 4, 4, 4), raced=3, rule=Rule(512, (16, 32)), repeats=1)
+    monkeypatch.setattr(qualities, "QUICK", tiny)
+    told = CliRunner().invoke(qualities.main, ["--set", "hammered-metal"])
+    assert told.exit_code == 0, told.output
+    cells = [line.strip("|").split("|") for line in told.output.splitlines()]
+    assert [row[0].strip() for row in cells[2:]] == ["hammered-metal", "mean", "worst"]
+    figures = np.array([[float(each) for each in row[1:]] for row in cells[2:]])
+    assert (figures[:, 2] == 1.0).all(), "times are those of standard"
+    assert (figures[:, 1::2] >= -0.05).all(), "no preset is better than the best lobe, but for what the rule resolves"

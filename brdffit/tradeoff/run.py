@@ -50,12 +50,19 @@ _SEED = 77
 def measure_set(name: str, svbrdf: Svbrdf, size: Size, tell: Tell) -> tuple[list[Point], list[Solver]]:
     """Points of every candidate and of every optimiser on one set; a cut-out is composited over black."""
     svbrdf = svbrdf.over_black()
-    base = base_of(svbrdf, get_model(svbrdf.model).default_shape)
-    sizes = level_sizes(svbrdf.size, len(size.timed))
-    texels = [random_texels(each, size.timed[k], seed=_SEED + k) for k, each in enumerate(sizes)]
+    points = measure_candidates(name, svbrdf, size, tell, candidates())
+    tell(f"{name}: optimisers")
+    base, texels = base_of(svbrdf, get_model(svbrdf.model).default_shape), _texels_of(svbrdf, size)
+    raced = [LevelSample(svbrdf, k, *texels[k], base=base).subset(size.raced) for k in SOLVER_LEVELS if k < len(texels)]
+    return points, race(name, raced)
+
+
+def measure_candidates(name: str, svbrdf: Svbrdf, size: Size, tell: Tell, chosen: Sequence[Candidate]) -> list[Point]:
+    """Points of these candidates on one set that has no cut-outs; the oracle starts from presets that come before."""
+    base, texels = base_of(svbrdf, get_model(svbrdf.model).default_shape), _texels_of(svbrdf, size)
     tried: list[_Tried] = []
     measured = [(c[:n], r[:n]) for (c, r), n in zip(texels, size.texels, strict=False)]
-    for candidate in candidates():
+    for candidate in chosen:
         tell(f"{name}: {candidate.group}, {candidate.name}")
         try:
             if candidate.method == ORACLE:
@@ -69,9 +76,12 @@ def measure_set(name: str, svbrdf: Svbrdf, size: Size, tell: Tell) -> tuple[list
             tell(f"{name}: {candidate.name} is left out. {error}")
     tell(f"{name}: measuring")
     _measure(tried, svbrdf, base, measured, size)
-    tell(f"{name}: optimisers")
-    raced = [LevelSample(svbrdf, k, *texels[k], base=base).subset(size.raced) for k in SOLVER_LEVELS if k < len(sizes)]
-    return with_front([each.point(name) for each in tried]), race(name, raced)
+    return with_front([each.point(name) for each in tried])
+
+
+def _texels_of(svbrdf: Svbrdf, size: Size) -> Texels:
+    sizes = level_sizes(svbrdf.size, len(size.timed))
+    return [random_texels(each, size.timed[k], seed=_SEED + k) for k, each in enumerate(sizes)]
 
 
 @dataclass
