@@ -11,8 +11,9 @@ from brdffit.cli import main
 from brdffit.colour import LUMINANCE
 from brdffit.errors import InputError
 from brdffit.fitting.batch import fit_texels, make_output, model_kernels
-from brdffit.fitting.method import level_rules, search_settings
+from brdffit.fitting.method import search_settings
 from brdffit.fitting.presets import get_quality
+from brdffit.fitting.rules import level_rules
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.lights import sizes_of
@@ -706,8 +707,8 @@ def test_a_stopped_training_goes_on_where_it_was(tmp_path, monkeypatch):
 
 def test_moments_of_four_lobes_a_texel_are_those_of_many():
     """Straight from base texels, against footprints gathered with many samples."""
-    from brdffit.fitting.method import level_rules
     from brdffit.fitting.presets import get_quality
+    from brdffit.fitting.rules import level_rules
     from brdffit.footprint import get_pixel_filter
     from brdffit.learned.kernels.footprints import COLUMNS
     from brdffit.learned.kernels.gathering import gather_tiles

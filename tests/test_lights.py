@@ -11,6 +11,7 @@ from brdffit.fitting.batch import diffuse_under_sky, model_kernels
 from brdffit.fitting.losses import set_diffuse_error
 from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.options import FitOptions
+from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.scoring import aim, share_out, target_norm
 from brdffit.halfangle.closed_forms import MOMENTS, XX, XY, YY, take_from_tensor
 from brdffit.halfangle.lights import (
@@ -200,15 +201,15 @@ def surface(size, spread, roughness, seed=2):
 
 @pytest.mark.parametrize("loss", ["l2", "seen", "displayed"])
 @pytest.mark.parametrize("roughness", [0.045, 0.4])
-def test_merging_changes_little(loss, roughness, monkeypatch):
-    """Fits of merged lobes against fits of all lobes: relative squared error of the one lobe from the other."""
-    base, options = surface(32, 0.2, roughness), FitOptions(lights="2,10,40", loss=loss, threads=1)
-    merged = NonlinearFit().bake_lobes(base, options)[3].svbrdf
-    from brdffit.fitting import method
-
-    original = method.search_settings
-    monkeypatch.setattr(method, "search_settings", lambda *rest: original(*rest)._replace(cell=0.0))
-    whole = NonlinearFit().bake_lobes(base, options)[3].svbrdf
+def test_merging_changes_little(loss, roughness):
+    """Fits of merged lobes against fits of the same lobes, hardly merged."""
+    options = FitOptions(lights="2,10,40", loss=loss, threads=1)
+    columns, rows = np.indices((4, 4)).reshape(2, -1)
+    sample = LevelSample(surface(32, 0.2, roughness), 3, columns, rows, options)
+    rules, search = sample.settings()
+    rules = rules._replace(chain=rules.chain._replace(most=(1 << 16, 1 << 16)))
+    _, merged = sample.fit(settings=(rules, search))
+    _, whole = sample.fit(settings=(rules, search._replace(cell=0.01)))
     # A tenth of log alpha^2 is 0.15 * 0.01 of the error: see brdffit.fitting.bfgs.
     assert np.abs(merged.log_roughness - whole.log_roughness).mean() < 0.1
     assert np.abs(merged.specular / whole.specular - 1.0).mean() < 0.03

@@ -7,10 +7,11 @@ import pytest
 
 from brdffit.fitting.batch import model_kernels
 from brdffit.fitting.interpolation import PARAMETERS
-from brdffit.fitting.method import NonlinearFit, level_rules, search_settings
+from brdffit.fitting.method import NonlinearFit, search_settings
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import get_quality
 from brdffit.fitting.refine import _Texels, refine_level
+from brdffit.fitting.rules import level_rules
 from brdffit.fitting.tiles import coloured_tiles, sample_points
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of

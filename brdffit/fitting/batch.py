@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from brdffit._jit import kernel, numba_type, specialise, types
 from brdffit.fitting.bfgs import make_space
+from brdffit.fitting.chain import Chain, footprints_of
 from brdffit.fitting.scoring import EVALUATIONS, FILTERED, REPORT, RESIDUAL
 from brdffit.fitting.search import Scratch, Search
 from brdffit.fitting.shortcuts import WORK
@@ -19,6 +20,7 @@ from brdffit.fitting.texel import GUARDS, fit_texel
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, Base, Strata, example_base, example_strata
 from brdffit.halfangle.closed_forms import MOMENTS, STARTS
+from brdffit.halfangle.footprints import Footprints, no_footprints
 from brdffit.halfangle.lights import POINT, Table, table_of
 from brdffit.halfangle.merging import make_cells
 from brdffit.halfangle.objective import FREE
@@ -46,13 +48,15 @@ class LevelRules(NamedTuple):
     """How a level is sampled.
 
     ``strata`` of its footprints; ``room`` for lobes; ``lights``: sizes of light as in ``lights.Table``; ``points``: the
-    rules, from few nodes to many, each with one point set for every size of light.
+    rules, from few nodes to many, each with one point set for every size of light; ``chain``: how its footprints are
+    merged from those of finer levels, where that is possible.
     """
 
     strata: Strata
     room: int
     lights: NDArray
     points: tuple[tuple[NDArray, ...], ...]
+    chain: Chain | None = None
 
 
 @kernel
@@ -81,7 +85,7 @@ def diffuse_under_sky(moment, channel, n_z):
 
 @kernel
 def fit_rows(
-    base, strata, columns, rows, search, scratch, rules, output,
+    base, strata, columns, rows, search, scratch, rules, footprints, output,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
 ):  # fmt: skip
     """Fit the texels (columns[i], rows[i]) of a level and write each into row i of the outputs.
@@ -91,7 +95,7 @@ def fit_rows(
     theta, report = scratch.theta, scratch.report
     for i in range(columns.size):
         status = fit_texel(
-            base, strata, columns[i], rows[i], search, scratch, rules,
+            base, strata, columns[i], rows[i], search, scratch, rules, footprints, i,
             tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
         )  # fmt: skip
         total = 0.0
@@ -235,12 +239,15 @@ def _example(float_width: int) -> tuple[Any, ...]:
         rendered=False, usual=0, cell=0.0, response=NO_RESPONSE,
     )  # fmt: skip
     indices = np.zeros(1, np.int64)
-    return base, level.strata, indices, indices, search, *make_workplace(level, float_width), make_output(1)
+    place = make_workplace(level, float_width)
+    return base, level.strata, indices, indices, search, *place, no_footprints(), make_output(1)
 
 
-def make_workplace(level: LevelRules, float_width: int = 32) -> tuple[Scratch, tuple[Table, ...]]:
-    """The arrays of one worker."""
-    parameters, room = objective.PARAMETERS, level.room + 1 + GUARDS
+def make_workplace(
+    level: LevelRules, float_width: int = 32, room: int | None = None
+) -> tuple[Scratch, tuple[Table, ...]]:
+    """The arrays of one worker; ``room``: most lobes of a footprint, if not that of the level's samples."""
+    parameters, room = objective.PARAMETERS, (level.room if room is None else room) + 1 + GUARDS
     scratch = Scratch(
         lobes=np.zeros((len(level.lights), room, quadrature.LOBE_COLUMNS)),
         counts=np.zeros(len(level.lights), np.int64),
@@ -276,10 +283,24 @@ def make_output(texels: int) -> Output:
     )
 
 
+def merges(base: Base, search: Search) -> bool:
+    """Whether lobes of a footprint are merged at all, as they must be to make footprints of them."""
+    return base.isotropic and search.cell > 0.0
+
+
 def fit_texels(
     base: Base, level: LevelRules, columns: NDArray, rows: NDArray, search: Search, output: Output,
-    kernels: ModelKernels, float_width: int = 32,
+    kernels: ModelKernels, float_width: int = 32, footprints: Footprints | None = None,
 ) -> None:  # fmt: skip
-    """Fit the texels (columns[i], rows[i]) of a level into ``output``. The loop releases the GIL."""
-    scratch, rules = make_workplace(level, float_width)
-    fitting_kernel(float_width)(base, level.strata, columns, rows, search, scratch, rules, output, *kernels)
+    """Fit the texels (columns[i], rows[i]) of a level into ``output``. The loops release the GIL.
+
+    ``footprints``: those of the texels where they are known; None: they are merged from finer levels if ``level`` has
+    a chain, and gathered otherwise.
+    """
+    if footprints is None and level.chain is not None and merges(base, search):
+        footprints = footprints_of(base, level.chain, search.step, search.cell, columns, rows)
+    scratch, rules = make_workplace(level, float_width, None if footprints is None else footprints.most)
+    if footprints is None:
+        footprints = no_footprints()
+    loop = fitting_kernel(float_width)
+    loop(base, level.strata, columns, rows, search, scratch, rules, footprints, output, *kernels)

@@ -21,23 +21,26 @@ from brdffit.fitting.batch import (
     fit_texels,
     fitting_kernel,
     make_output,
+    merges,
     model_kernels,
 )
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
+from brdffit.fitting.chain import Chain, footprints_of, unions
 from brdffit.fitting.effects import UNBOUNDED, Seen, complete, keep_energy, kernels_of, reached, seen_by
 from brdffit.fitting.losses import LOSS_CODES
 from brdffit.fitting.options import LOSSES, SPECULARS, FitOptions
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.refine import refine_pyramid
+from brdffit.fitting.rules import continued_by, level_rules
 from brdffit.fitting.search import Search
 from brdffit.fitting.status import FALLBACK, KEPT, NOT_REACHED, POOR
 from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter, iter_pyramid
-from brdffit.halfangle.apparent_lobe import Base, Strata, base_of, strata
+from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
-from brdffit.halfangle.lights import BASE_BLUR, POINT, sizes_of
+from brdffit.halfangle.footprints import Footprints, joined
+from brdffit.halfangle.lights import sizes_of
 from brdffit.halfangle.measure import PERFECT_DB, random_texels
 from brdffit.halfangle.objective import BOUNDED, FREE, HOLDS
-from brdffit.halfangle.quadrature import lattice
 from brdffit.halfangle.response import NO_RESPONSE, response_of
 from brdffit.methods import Level, LobeMethod, Material, Progress, Pyramid, one_of
 from brdffit.models import Model, get_model
@@ -46,18 +49,10 @@ from brdffit.svbrdf import Svbrdf, level_sizes
 # A piece of work should take a fraction of a second, so that interrupts are handled and the progress bar moves.
 _TEXELS_PER_PIECE = 16384
 _LEAST_PIECES = 32
-# Footprints of at least so many base texels an axis take so many samples that nodes are cheap: factors of nodes there.
-# From 16 texels on two lobes are often nearly as good; with few nodes, noise makes single texels wide, and these shine
-# in the dark.
-_WIDE_NODES = ((16, 4), (4, 2))
-# Samples of a pixel's area from which on the noise of random points averages out, under lights with a size.
-_MANY_SAMPLES = 256
 # Texels fitted to estimate a level's mean error, and the fewest texels of a level for which that pays.
 _PILOT_TEXELS, _LEAST_TEXELS = 256, 4096
 # The largest share of its error that a search under a tolerance may leave.
 _LAXEST = 1e-2
-# Share of a rule's nodes for each size of light, the smallest size first; the fewest nodes of a size.
-_NODE_SHARES, _FEWEST_NODES = (0.5, 0.25, 0.2, 0.2, 0.2, 0.2), 24
 # Least and greatest bounded scale, in units of the filtered colour.
 _BOUNDS = (0.91, 1.09)
 # Where lights have a size the diffuse colour is fitted to point lights and, with this share, to an even sky.
@@ -109,20 +104,25 @@ class NonlinearFit(LobeMethod):
         plain = averaged_levels(svbrdf, [size for size in sizes[authored:] if size not in searched], options, target)
         averages = _averages(seen, svbrdf.wrap, searched, pixel_filter, point=kept > authored and 0 in fitted)
         pyramid = Pyramid(self.name, options, [])
-        level_samplings = []
+        level_samplings = [
+            level_rules(pixel_filter, svbrdf.size, size, k, quality, point=k < kept, lights=lights)
+            for k, size in enumerate(sizes)
+        ]
+        footprints = None
         for mip_level, size in enumerate(sizes):
             start = time.perf_counter()
-            rules = level_rules(
-                pixel_filter, svbrdf.size, size, mip_level, quality, point=mip_level < kept, lights=lights
-            )
-            level_samplings.append(rules)
+            rules = level_samplings[mip_level]
+            coarser = continued_by(level_samplings[mip_level : mip_level + 2]) if merges(base, search) else None
+            known, footprints = footprints, None
             if mip_level < authored:
                 level = Level(svbrdf.replace(height=None), status=np.full(size, KEPT, np.uint8))
             elif mip_level not in fitted:
                 level = Level(next(plain), status=np.full(size, NOT_REACHED, np.uint8))
             else:
                 level_search = tolerant(search, options, seen.base, rules, size, mip_level, kernels)
-                output = _fit_level(seen.base, rules, size, level_search, kernels, options.threads, mip_level, progress)
+                output, footprints = _fit_level(
+                    seen.base, rules, size, level_search, kernels, options.threads, mip_level, progress, known, coarser
+                )
                 complete(output, seen, next(averages))
                 keep_energy(output, rules, level_search, partial(_average_of, base, size, pixel_filter))
                 level = _level(output, size, svbrdf, target, pixel_filter)
@@ -141,15 +141,20 @@ class NonlinearFit(LobeMethod):
         if len(searched) < len(sizes) - authored:
             levels = f"level {fitted[0]}" if len(fitted) == 1 else f"levels {fitted[0]} to {fitted[-1]}"
             pyramid.notes.append(f"Pixels read {levels} alone; the others are averaged, not fitted.")
-        failed = sum(int((level.status == FALLBACK).sum()) for level in pyramid.levels if level.status is not None)
-        if failed:
-            pyramid.notes.append(f"The search failed for {failed} texels; they hold their closed-form start.")
-        poor = sum(int((level.status == POOR).sum()) for level in pyramid.levels if level.status is not None)
-        if poor:
-            pyramid.notes.append(
-                f"No single lobe stands for {poor} texels: more than half of what they reflect is missed."
-            )
+        pyramid.notes += _doubts(pyramid)
         return pyramid
+
+
+def _doubts(pyramid: Pyramid) -> list[str]:
+    """Sentences on texels whose lobes are not what was asked for."""
+    notes = []
+    failed = sum(int((level.status == FALLBACK).sum()) for level in pyramid.levels if level.status is not None)
+    if failed:
+        notes.append(f"The search failed for {failed} texels; they hold their closed-form start.")
+    poor = sum(int((level.status == POOR).sum()) for level in pyramid.levels if level.status is not None)
+    if poor:
+        notes.append(f"No single lobe stands for {poor} texels: more than half of what they reflect is missed.")
+    return notes
 
 
 def _averages(
@@ -169,38 +174,6 @@ def _averages(
 def _average_of(base: Base, size: tuple[int, int], pixel_filter: PixelFilter) -> NDArray:
     """The specular colour of each texel of a level, (n, 3), filtered exactly."""
     return filter_channels(base.specular, size, pixel_filter, "tile" if base.tile else "clamp").reshape(-1, 3)
-
-
-def level_rules(
-    pixel_filter: PixelFilter, base_size: tuple[int, int], size: tuple[int, int], mip_level: int, quality: Quality,
-    point: bool = False, lights: NDArray = POINT,
-) -> LevelRules:  # fmt: skip
-    """How a level is sampled; ``point`` takes each base texel alone, unfiltered; ``lights`` as in ``lights.Table``."""
-    scale = max(base_size[0] / size[0], base_size[1] / size[1])
-    wide = _WIDE_NODES if lights[0, BASE_BLUR] > 0.0 else _WIDE_NODES[1:]
-    factor = next((factor for texels, factor in wide if scale >= texels), 1)
-    points = tuple(_points(nodes * factor, lights) for nodes in quality.nodes)
-    if point:
-        one = np.ones(1)
-        return LevelRules(Strata(0.0 * one, 0.0 * one, one, one, 0.0, 0.0, 1.0, 1.0, 0), 1, lights, points)
-    pixels = max(1.0, 2.0 * pixel_filter.radius)
-    # An even number of strata a texel makes strata end at texel centres, as bilinear patches do.
-    per_texel = 2 * max(1, math.ceil(0.5 * quality.least / scale))
-    # Lights with a size widen every lobe, so that half as many samples miss no sharp peak of a large footprint.
-    most = math.ceil(quality.most * pixels * (0.5 if lights[0, BASE_BLUR] > 0.0 else 1.0))
-    chosen = strata(pixel_filter, base_size, size, per_texel, most, mip_level, quality.merge)
-    sized = lights[0, BASE_BLUR] > 0.0
-    scatter = bool(sized and chosen.samples >= _MANY_SAMPLES * pixels * pixels)
-    chosen = chosen._replace(light=float(lights[0, BASE_BLUR]), scatter=scatter)
-    room = chosen.samples if scatter else max(quality.room, 2 * chosen.samples)
-    return LevelRules(chosen, room, lights, points)
-
-
-def _points(nodes: int, lights: NDArray) -> tuple[NDArray, ...]:
-    """One point set for each size of light: a single size gets all nodes of a rule, several share them."""
-    if len(lights) == 1:
-        return (lattice(nodes),)
-    return tuple(lattice(max(_FEWEST_NODES, 2 * round(0.5 * nodes * _NODE_SHARES[s]))) for s in range(len(lights)))
 
 
 def search_settings(options: FitOptions, quality: Quality, base: Base, source: Model, target: Model) -> Search:
@@ -294,21 +267,34 @@ def tolerant(
 
 def _fit_level(
     base: Base, rules: LevelRules, size: tuple[int, int], search: Search, kernels: ModelKernels,
-    threads: int | None, mip_level: int, progress: Progress | None,
-) -> Output:  # fmt: skip
+    threads: int | None, mip_level: int, progress: Progress | None, known: Footprints | None, coarser: Chain | None,
+) -> tuple[Output, Footprints | None]:  # fmt: skip
     """Fit all texels of a level in pieces, on threads (the loop releases the GIL).
 
-    Texels are independent, so the result does not depend on the pieces or the threads.
+    Texels are independent, so the result does not depend on the pieces or the threads. ``known``: the level's
+    footprints, where the level before left them; ``coarser``: the chain of the next level, where its footprints are
+    unions of these; then they are returned too.
     """
     texels = size[0] * size[1]
     output = make_output(texels)
     piece = max(1, min(_TEXELS_PER_PIECE, math.ceil(texels / _LEAST_PIECES)))
+    if coarser is not None:
+        # Whole pixels of the next level. Its footprints are made piece by piece: those of a level are many.
+        rows = coarser.parts[0] * size[1]
+        piece = math.ceil(min(piece, _TEXELS_PER_PIECE // 4) / rows) * rows
+    found: dict[int, Footprints] = {}
 
     def work(first: int) -> int:
-        index = np.arange(first, min(first + piece, texels))
-        part = Output(*(array[first : first + piece] for array in output))
-        fit_texels(base, rules, index % size[1], index // size[1], search, part, kernels)
-        return len(index)
+        last = min(first + piece, texels)
+        columns, rows = np.arange(first, last) % size[1], np.arange(first, last) // size[1]
+        own = None if known is None else known.part(first, last)
+        if own is None and coarser is not None:
+            own = footprints_of(base, coarser.before(), search.step, search.cell, columns, rows)
+        part = Output(*(array[first:last] for array in output))
+        fit_texels(base, rules, columns, rows, search, part, kernels, footprints=own)
+        if own is not None and coarser is not None:
+            found[first] = unions(own, coarser, search.cell, rows=True)
+        return len(columns)
 
     done = 0
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
@@ -322,7 +308,7 @@ def _fit_level(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return output
+    return output, joined([found[first] for first in sorted(found)]) if found else None
 
 
 def _level(output: Output, size: tuple[int, int], base: Svbrdf, target: Model, pixel_filter: PixelFilter) -> Level:

@@ -12,15 +12,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.fitting.batch import LevelRules, ModelKernels, Output, fit_texels, make_output, model_kernels
+from brdffit.fitting.batch import LevelRules, ModelKernels, Output, fit_texels, make_output, merges, model_kernels
+from brdffit.fitting.chain import parts_of, unions
 from brdffit.fitting.effects import Seen, complete, keep_energy, kernels_of, seen_by
-from brdffit.fitting.method import level_rules, search_settings, tolerant
+from brdffit.fitting.method import search_settings, tolerant
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import Quality, quality_of
+from brdffit.fitting.rules import level_rules
 from brdffit.fitting.search import Search
 from brdffit.footprint import filter_texels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
+from brdffit.halfangle.footprints import Footprints, joined
 from brdffit.halfangle.lights import sizes_of
 from brdffit.halfangle.measure import DENSE_NODES, DENSE_SAMPLES, Measured, measure_lobes
 from brdffit.models import Model, get_model
@@ -61,6 +64,7 @@ class LevelSample:
         self.base_size, self.size = svbrdf.size, level_sizes(svbrdf.size, mip_level + 1)[mip_level]
         self._seen: dict[tuple[str, bool, bool], Seen] = {}
         self._averages: dict[tuple[str, str], NDArray] = {}
+        self._parts: dict[object, Footprints] = {}
 
     def __len__(self) -> int:
         return len(self.columns)
@@ -74,6 +78,7 @@ class LevelSample:
         few = copy.copy(self)
         few.columns, few.rows = self.columns[:count], self.rows[:count]
         few._averages = {name: average[:count] for name, average in self._averages.items()}
+        few._parts = {key: parts.part(0, len(parts) // len(self) * count) for key, parts in self._parts.items()}
         return few
 
     def on_threads(self, threads: int) -> LevelSample:
@@ -85,7 +90,8 @@ class LevelSample:
     def at(self, mip_level: int, columns: NDArray, rows: NDArray) -> LevelSample:
         """Texels of another level of the same base. Arrays derived from the base are shared."""
         other = copy.copy(self)
-        other.mip_level, other.columns, other.rows, other._averages = mip_level, columns, rows, {}
+        other.mip_level, other.columns, other.rows = mip_level, columns, rows
+        other._averages, other._parts = {}, {}
         other.size = level_sizes(self.base_size, mip_level + 1)[mip_level]
         return other
 
@@ -122,9 +128,17 @@ class LevelSample:
         seen, output = self.seen(options), make_output(len(self))
         kernels = kernels_of(options, self.source, self.target, float_width)
 
+        parts = self.parts(options, rules, search)
+
         def work(part: slice) -> None:
             own = Output(*(array[part] for array in output))
-            fit_texels(seen.base, rules, self.columns[part], self.rows[part], search, own, kernels, float_width)
+            footprints = None
+            if parts is not None and rules.chain is not None:
+                many = len(parts) // len(self)
+                footprints = unions(parts.part(many * part.start, many * part.stop), rules.chain, search.cell)
+            fit_texels(
+                seen.base, rules, self.columns[part], self.rows[part], search, own, kernels, float_width, footprints
+            )
 
         self._in_parts(work)
         complete(output, seen, self.averages(options))
@@ -134,6 +148,35 @@ class LevelSample:
         theta[:, 0:2] = -normal[:, 0:2] / np.maximum(normal[:, 2:3], 1e-3)
         theta[:, 2:5], theta[:, 5] = output.log_roughness, output.shape
         return Lobes(theta, output.specular.astype(np.float64)), output
+
+    def parts(self, options: FitOptions, rules: LevelRules, search: Search) -> Footprints | None:
+        """The footprints of the level before that these texels' footprints consist of; None where these are gathered.
+
+        In a whole bake the level before leaves them. Here they are gathered once, for the time of further fits to be
+        that of a bake.
+        """
+        chain = rules.chain
+        if chain is None or len(chain.sizes) == 1 or not merges(self.base, search):
+            return None
+        key = (
+            options.colour,
+            options.correlation,
+            options.coupling,
+            search.step,
+            search.cell,
+            chain.strata[4:],
+            chain[1:],
+        )
+        if key not in self._parts:
+            base, bounds = self.seen(options).base, np.linspace(0, len(self), 4 * self.threads + 1).astype(int)
+
+            def gather(k: int) -> Footprints:
+                part = slice(bounds[k], bounds[k + 1])
+                return parts_of(base, chain, search.step, search.cell, self.columns[part], self.rows[part])
+
+            with ThreadPoolExecutor(self.threads) as pool:
+                self._parts[key] = joined(list(pool.map(gather, range(4 * self.threads))))
+        return self._parts[key]
 
     def best(self, given: list[Lobes]) -> Lobes:
         """The best lobes of these texels that ``brdffit.fitting.solvers.oracle`` finds, with a free scale.

@@ -63,7 +63,6 @@ from brdffit.halfangle.closed_forms import (
     DEFENSIVE_SHARE,
     LEAN,
     STARTS,
-    STEEPEST_SLOPE,
     XX,
     first_start,
     footprint_moments,
@@ -72,12 +71,11 @@ from brdffit.halfangle.closed_forms import (
     widen_lobes,
     widen_round_lobes,
 )
+from brdffit.halfangle.footprints import REFLECTED, average_of_footprint, average_of_lobes, set_average, take_footprint
 from brdffit.halfangle.lights import BASE_BLUR, evaluate_table, points_of, segment, values_of
-from brdffit.halfangle.merging import merge_lobes
+from brdffit.halfangle.merging import mean_spread, merge_lobes
 from brdffit.halfangle.objective import FREE, HELD, HOLDS, PARAMETERS
 from brdffit.halfangle.quadrature import (
-    ALPHA_SQUARED,
-    MIXTURE,
     SHAPE,
     WIDE_AXES,
     add_guard,
@@ -112,20 +110,26 @@ def spared(floor, nodes):
 
 @part
 def fit_texel(
-    base, strata, column, row, search, scratch, rules,
+    base, strata, column, row, search, scratch, rules, footprints, index,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
 ):  # fmt: skip
     """Fit one texel into ``scratch.theta`` (6,) and ``scratch.report``; returns a status.
 
+    Its footprint is the one of this ``index`` in ``footprints``, or gathered from the base if there are none.
     ``rules`` are ordered from few nodes to many. A texel takes the next rule where the two halves of a rule disagree by
     more than ``search.trusted`` times the residual, and where its nodes miss the lobe that was found; that lobe then
     gets nodes of its own. ``scratch.best`` (6,) receives the closed-form start, to fall back on.
     """
     lobes, theta, report, lights = scratch.lobes[0], scratch.theta, scratch.report, rules[0].lights
-    count, spread = gather_lobes(
-        base, strata, search.step, column, row, lobes[: lobes.shape[0] - GUARDS], scratch.moment
-    )
-    red, green, blue, some = normalise_mixture(lobes, count)
+    merged = footprints.sums.shape[0] > 0
+    if merged:
+        count, red, green, blue, some = take_footprint(footprints, index, lobes, scratch.moment)
+        spread = mean_spread(lobes, count, lights[0, BASE_BLUR])
+    else:
+        count, spread = gather_lobes(
+            base, strata, search.step, column, row, lobes[: lobes.shape[0] - GUARDS], scratch.moment
+        )
+        red, green, blue, some = normalise_mixture(lobes, count)
     for k in range(report.size):
         report[k] = 0.0
     expected = NOT_KNOWN
@@ -138,10 +142,14 @@ def fit_texel(
             return FLAT if expected <= FLAT_EXCESS else CLOSED_FORM
     sized = lights[0, BASE_BLUR] > 0.0
     alike = 0.0
-    if sized and base.isotropic and search.same_model and average_of(lobes, count, scratch.average):
-        alike = 1.0 - math.exp(scratch.average[2]) / (_SHARP * lights[0, BASE_BLUR])
+    if sized and base.isotropic and search.same_model:
+        x, y, z, log = average_of_lobes(lobes, count) if not merged else average_of_footprint(footprints, index)
+        if set_average(x, y, z, log, lobes[0, SHAPE], scratch.average):
+            alike = 1.0 - math.exp(scratch.average[2]) / (_SHARP * lights[0, BASE_BLUR])
     if search.rendered and some:
-        report[ALBEDO] = albedo_of_lobes(lobes, count, base.isotropic)
+        report[ALBEDO] = (
+            albedo_of_lobes(lobes, count, base.isotropic) if not merged else footprints.sums[index, REFLECTED]
+        )
     isotropic = search.free & FREE_ANISOTROPY == 0
     if sized and some and base.isotropic and search.same_model and not base.has_shape:
         alike_enough = take_if_alike(
@@ -149,7 +157,7 @@ def fit_texel(
         )
         if alike_enough:
             return FLAT
-    lobes_isotropic = see_lobes(base, lights, count, spread, search.cell, scratch)
+    lobes_isotropic = see_lobes(base, lights, count, spread, search.cell, merged, scratch)
     count = scratch.counts[0]
     flat = footprint_moments(lobes, count, lobes_isotropic, scratch.moments)
     if sized:
@@ -265,24 +273,6 @@ def take_if_alike(count, scratch, search, light, alike, isotropic, has_diffuse, 
 
 
 @part
-def average_of(lobes, count, average):
-    """``average`` (6,) <- the mean normal and the mean log alpha^2 of isotropic lobes; returns whether the normal is
-    not too steep."""
-    x, y, z, log = 0.0, 0.0, 0.0, 0.0
-    for i in range(count):
-        w = lobes[i, MIXTURE]
-        x += w * lobes[i, 0]
-        y += w * lobes[i, 1]
-        z += w * lobes[i, 2]
-        log += w * math.log(lobes[i, ALPHA_SQUARED])
-    if not z > math.sqrt(x * x + y * y) / STEEPEST_SLOPE:
-        return False
-    average[0], average[1], average[2], average[3] = -x / z, -y / z, log, log
-    average[4], average[5] = 0.0, lobes[0, SHAPE]
-    return True
-
-
-@part
 def prefer_average(scratch, table, search, alike, moments_kernel, values_kernel, log_normalisation):
     """Replace the lobe that was found by the averaged one, or by one between, if the lights hardly distinguish them.
 
@@ -310,11 +300,12 @@ def prefer_average(scratch, table, search, alike, moments_kernel, values_kernel,
 
 
 @part
-def see_lobes(base, lights, count, spread, cell, scratch):
+def see_lobes(base, lights, count, spread, cell, merged, scratch):
     """Write into ``scratch.lobes[s]`` the ``count`` lobes of ``scratch.lobes[0]`` as each size of light shows them.
 
-    Lobes that a light hardly distinguishes are merged (``cell`` > 0), from one size to the next; then every lobe is
-    widened by the spread of its own normals and by the light. Returns whether all lobes are still isotropic.
+    Lobes that a light hardly distinguishes are merged (``cell`` > 0), from one size to the next (those of the first
+    are ``merged`` already, or not); then every lobe is widened by the spread of its own normals and by the light.
+    Returns whether all lobes are still isotropic.
     """
     sizes = lights.shape[0]
     scratch.counts[0] = count
@@ -326,9 +317,10 @@ def see_lobes(base, lights, count, spread, cell, scratch):
                 for i in range(scratch.counts[s - 1]):
                     for k in range(WIDE_AXES):
                         own[i, k] = scratch.lobes[s - 1, i, k]
-            many = count if s == 0 else scratch.counts[s - 1]
-            scratch.counts[s], spread = merge_lobes(own, many, lights[s, BASE_BLUR], cell, scratch.cells)
-            widest = max(widest, spread)
+            if s > 0 or not merged:
+                many = count if s == 0 else scratch.counts[s - 1]
+                scratch.counts[s], spread = merge_lobes(own, many, lights[s, BASE_BLUR], cell, scratch.cells)
+                widest = max(widest, spread)
     else:
         for s in range(1, sizes):
             scratch.counts[s] = count

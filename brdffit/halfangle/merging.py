@@ -76,12 +76,18 @@ def merge_lobes(lobes, count, square, cell, cells):
     merged = count
     if count > _FEW:
         merged = _into_cells(lobes, count, square, cell, cells)
+    return merged, mean_spread(lobes, merged, square)
+
+
+@inline
+def mean_spread(lobes, count, square):
+    """Mean trace of SPREAD of isotropic lobes, relative to their alpha^2 under a light that adds ``square``."""
     spread = 0.0
-    for i in range(merged):
+    for i in range(count):
         lobe = lobes[i]
         wide = (lobe[SPREAD] + lobe[SPREAD + 1]) / (lobe[ALPHA_SQUARED] + square)
         spread += lobe[MIXTURE] * min(wide, 1.0)
-    return merged, spread
+    return spread
 
 
 @kernel

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from brdffit.errors import InputError
-from brdffit.fitting.method import level_rules
 from brdffit.fitting.presets import get_quality
+from brdffit.fitting.rules import level_rules
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import Base, Strata, base_of
 from brdffit.learned.kernels.displayed import Shown, show

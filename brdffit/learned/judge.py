@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.fitting.batch import fit_texels, make_output, model_kernels
-from brdffit.fitting.method import level_rules, search_settings
+from brdffit.fitting.method import search_settings
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import get_quality
+from brdffit.fitting.rules import level_rules
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS

@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.fitting.batch import Output, fit_texels, fitting_kernel, make_output, model_kernels
-from brdffit.fitting.method import level_rules, search_settings
+from brdffit.fitting.method import search_settings
 from brdffit.fitting.options import QUALITIES, FitOptions
 from brdffit.fitting.presets import get_quality
+from brdffit.fitting.rules import level_rules
 from brdffit.fitting.status import CLOSED_FORM, KEPT, NO_SPECULAR
 from brdffit.footprint import filter_channels, get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from brdffit.fitting.bfgs import make_space, minimise
-from brdffit.fitting.method import level_rules, search_settings
+from brdffit.fitting.method import search_settings
 from brdffit.fitting.presets import get_quality
+from brdffit.fitting.rules import level_rules
 from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.solvers import Problem, compiled, descend_by_nlopt, solve_nlopt, solve_scipy
 from brdffit.footprint import get_pixel_filter

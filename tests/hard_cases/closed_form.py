@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from brdffit.fitting.bfgs import FREE_ANISOTROPY
-from brdffit.fitting.method import level_rules, search_settings
+from brdffit.fitting.method import search_settings
 from brdffit.fitting.presets import quality_of
+from brdffit.fitting.rules import level_rules
 from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, gather_lobes, normalise_mixture
