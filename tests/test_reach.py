@@ -133,5 +133,6 @@ def test_little_curvature_is_none_and_a_small_ball_shows_its_rim():
 @given(st.floats(0.01, 100.0), st.floats(0.01, 100.0), st.floats(1.0, 3.0))
 def test_more_of_a_ball_is_seen_from_farther_and_of_a_smaller_one(distance, radius, factor):
     turn = shown_turn(Camera(), np.array([distance, factor * distance]), radius)
-    assert 0.0 <= turn[0] <= turn[1] + 1e-9 <= 90.0 + 1e-9
-    assert shown_turn(Camera(), distance, factor * radius) <= turn[0] + 1e-9
+    # Where a sine is near 1 its angle is known to the root of the rounding alone, 1e-6 degrees.
+    assert 0.0 <= turn[0] <= turn[1] + 1e-5 and turn[1] <= 90.0 + 1e-9
+    assert shown_turn(Camera(), distance, factor * radius) <= turn[0] + 1e-5
