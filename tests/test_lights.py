@@ -8,11 +8,12 @@ from lobe_oracle import lobe, log_tensor_of, normal_of_slopes, slope_rule
 
 from brdffit.errors import InputError
 from brdffit.fitting.batch import diffuse_under_sky, model_kernels
-from brdffit.fitting.losses import set_diffuse_error
+from brdffit.fitting.losses import add_squares, set_diffuse_error, squares_of, weigh_as_seen
 from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.scoring import aim, share_out, target_norm
+from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT
 from brdffit.halfangle.closed_forms import MOMENTS, XX, XY, YY, take_from_tensor
 from brdffit.halfangle.lights import (
     EVALUATION,
@@ -32,6 +33,7 @@ from brdffit.halfangle.quadrature import (
     GAIN,
     GREEN,
     LOBE_COLUMNS,
+    MEASURE,
     MIXTURE,
     NODE_ROWS,
     RED,
@@ -199,7 +201,7 @@ def surface(size, spread, roughness, seed=2):
     return Svbrdf(normal=normal, log_roughness=log_tensor_from_perceptual(rough), specular=grey, diffuse=0.2 * grey)
 
 
-@pytest.mark.parametrize("loss", ["l2", "seen", "displayed"])
+@pytest.mark.parametrize("loss", ["l2", "seen", "displayed", "balanced"])
 @pytest.mark.parametrize("roughness", [0.045, 0.4])
 def test_merging_changes_little(loss, roughness):
     """Fits of merged lobes against fits of the same lobes, hardly merged."""
@@ -213,6 +215,31 @@ def test_merging_changes_little(loss, roughness):
     # A tenth of log alpha^2 is 0.15 * 0.01 of the error: see brdffit.fitting.bfgs.
     assert np.abs(merged.log_roughness - whole.log_roughness).mean() < 0.1
     assert np.abs(merged.specular / whole.specular - 1.0).mean() < 0.03
+
+
+def test_a_balanced_error_is_the_mean_of_the_displayed_and_the_squared_one():
+    """(E + w S) / (1 + w), each relative to its own norm of the target, for any other lobe on the same nodes."""
+    rng = np.random.default_rng(5)
+    nodes = np.zeros((NODE_ROWS, 64), np.float32)
+    nodes[[RED, GREEN, BLUE]], nodes[MEASURE] = rng.exponential(1.0, (3, 64)), rng.uniform(0.1, 1.0, 64)
+    other = rng.exponential(1.0, (3, 64)).astype(np.float32)
+
+    def error():
+        target = nodes[[RED, GREEN, BLUE]]
+        return (nodes[WEIGHT] * (target - other) ** 2).sum() / (nodes[WEIGHT] * target**2).sum()
+
+    nodes[WEIGHT] = nodes[MEASURE]
+    squared = error()
+    weigh_as_seen(nodes, np.zeros(DIFFUSE_MOMENT), True)
+    displayed = error()
+    assert displayed != pytest.approx(squared, rel=0.1)
+    add_squares(nodes, 0.4)
+    assert error() == pytest.approx((displayed + 0.4 * squared) / 1.4, rel=1e-5)
+
+
+@pytest.mark.parametrize("name, level, weight", [("balanced", 1, 0.0), ("balanced", 3, 0.4), ("displayed", 3, 0.0)])
+def test_squares_count_from_afar(name, level, weight):
+    assert squares_of(name, level) == pytest.approx(weight)
 
 
 @pytest.mark.parametrize("specular, least, most", [("bounded", 0.9, 1.1), ("held", 0.9999, 1.0001)])

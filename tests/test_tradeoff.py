@@ -10,6 +10,7 @@ from hard_cases.displayed_oracle import Lobe, Target, footprint
 from test_fitting import surface
 
 from brdffit.cli import main
+from brdffit.fitting.losses import squares_of
 from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.halfangle.measure import random_texels
 from brdffit.textures.procedural import make_set
@@ -98,7 +99,7 @@ def test_the_error_on_a_screen_is_that_of_random_samples_and_half_vectors(grey):
         normals, alpha_squared = footprint(base, sample.size, sample.rows[i], sample.columns[i], 48, random)
         lobes = [Lobe(output.normal[i], version.theta[i, 2:5]) for version in (fitted, wide)]
         diffuse = 0.1 * np.linalg.norm(normals.mean(axis=0))
-        target = Target(normals, alpha_squared, GREY, diffuse, lobes, 4096, random)
+        target = Target(normals, alpha_squared, GREY, diffuse, lobes, 4096, random, squares_of("balanced", 2))
         for k, lobe in enumerate(lobes):
             # Both rules err by a few percent of the error; what is left of an error of 1e-3 is not seen.
             expected = target.error(lobe, fitted.scale[i, 0] / GREY)
@@ -174,9 +175,10 @@ def test_a_method_that_a_set_has_no_images_for_is_left_out_and_that_is_said(monk
 
 
 def test_fits_are_better_than_closed_forms_and_averages_are_on_the_front(written):
-    """On a screen LEAN's wide lobes glow in the dark: averages, as fast, are better there."""
+    """Averages are the fastest. (By the error on a screen alone they are better than LEAN, whose lobes glow in the
+    dark; with squared errors from afar they are not.)"""
     found = {each["name"]: each for each in json.loads((written[0] / "tradeoff.json").read_text())["points"]}
-    assert found["standard"]["snr_db"] > found["naive"]["snr_db"] > found["lean"]["snr_db"]
+    assert found["standard"]["snr_db"] > max(found[name]["snr_db"] for name in ("naive", "lean"))
     assert found["standard"]["snr_db"] >= found["l1"]["snr_db"]
     assert found["naive"]["front"]
 

@@ -15,6 +15,10 @@
   x^-1.1 below the mean and as x^-2.9 far above it; the power 1.5 and half of the mean approximate both
   (benchmarks/seen.py).
 
+- BALANCED: from level 2 on (DISPLAYED + w SQUARED) / (1 + w), each a share of its own norm of the target, so that it
+  is DISPLAYED with a floor under its weight: w = 0.2 a level. From afar a lobe stands for many, misses part of them
+  whatever it is, and DISPLAYED alone gives highlights away for the dark beside them.
+
 The knee is 3% of the target's highest value on the nodes: below it RELATIVE counts errors absolutely, and L1 squared.
 An energy constraint needs no loss of its own: lobes are normalised, so a scale held at the filtered colour keeps the
 energy exactly, and the search finds the least L2 error under that constraint (``--set fit.specular=held``).
@@ -27,14 +31,16 @@ import math
 import numpy as np
 
 from brdffit._jit import kernel
+from brdffit.fitting.options import LOSSES
 from brdffit.halfangle.lights import segment
 from brdffit.halfangle.quadrature import BLUE, GREEN, MEASURE, RED, WEIGHT
+from brdffit.methods import one_of
 
 real = np.float32
 
 L2, RELATIVE, L1, SEEN, DISPLAYED = range(5)
 #: Codes of the names in brdffit.fitting.options.LOSSES; "auto" becomes one of these before a search.
-LOSS_CODES = {"l2": L2, "relative": RELATIVE, "l1": L1, "seen": SEEN, "displayed": DISPLAYED}
+LOSS_CODES = {"l2": L2, "relative": RELATIVE, "l1": L1, "seen": SEEN, "displayed": DISPLAYED, "balanced": DISPLAYED}
 
 #: Reweighted fits of L1 after the first.
 ROUNDS = 4
@@ -44,6 +50,24 @@ _DARK, _BOTH_COSINES = 0.5, 4.0 / 9.0
 # Mean squared error of diffuse light, in units of a lobe, for a squared error of 1 in the vector d n: see
 # ``set_diffuse_error``.
 _DIFFUSE_ERROR = 2.0 / math.pi**2
+# BALANCED: weight of the squared error for each level, counted from the last level without it.
+_SQUARES_A_LEVEL, _SQUARES_AFTER = 0.2, 1
+
+
+def loss_of(name: str, lights: str) -> str:
+    """The loss that the option ``loss`` names: "auto" is l2 under point lights, else balanced.
+
+    Raises:
+        UnknownNameError: with the nearest known name.
+    """
+    if one_of("loss", name, LOSSES) != "auto":
+        return name
+    return "l2" if lights == "point" else "balanced"
+
+
+def squares_of(loss: str, mip_level: int) -> float:
+    """Weight w of the squared error beside the displayed one, see BALANCED; 0 for other losses."""
+    return _SQUARES_A_LEVEL * max(mip_level - _SQUARES_AFTER, 0) if loss == "balanced" else 0.0
 
 
 @kernel
@@ -96,6 +120,23 @@ def weigh_as_seen(nodes, moment, displayed):
         # A filter's negative weights can make the target negative.
         share = knee / (max(red[j] + green[j] + blue[j], real(0.0)) + knee)
         weight[j] = measure[j] * (share * np.sqrt(share) if displayed else share)
+
+
+@kernel
+def add_squares(nodes, share):
+    """WEIGHT += MEASURE ``share`` <T,T>_WEIGHT / <T,T>_MEASURE: beside the weighted error, ``share`` of the squared
+    one, each relative to its own norm of the target."""
+    red, green, blue, weight, measure = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT], nodes[MEASURE]
+    weighted, plain = real(0.0), real(0.0)
+    for j in range(nodes.shape[1]):
+        square = red[j] * red[j] + green[j] * green[j] + blue[j] * blue[j]
+        weighted += weight[j] * square
+        plain += measure[j] * square
+    if not plain > real(0.0):
+        return
+    factor = real(share) * weighted / plain
+    for j in range(nodes.shape[1]):
+        weight[j] += factor * measure[j]
 
 
 @kernel

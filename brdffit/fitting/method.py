@@ -27,8 +27,8 @@ from brdffit.fitting.batch import (
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
 from brdffit.fitting.chain import Chain, footprints_of, unions
 from brdffit.fitting.effects import UNBOUNDED, Seen, complete, keep_energy, kernels_of, reached, seen_by
-from brdffit.fitting.losses import LOSS_CODES
-from brdffit.fitting.options import LOSSES, SPECULARS, FitOptions
+from brdffit.fitting.losses import DISPLAYED, LOSS_CODES, loss_of, squares_of
+from brdffit.fitting.options import SPECULARS, FitOptions
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.refine import refine_pyramid
 from brdffit.fitting.rules import continued_by, level_rules
@@ -119,12 +119,12 @@ class NonlinearFit(LobeMethod):
             elif mip_level not in fitted:
                 level = Level(next(plain), status=np.full(size, NOT_REACHED, np.uint8))
             else:
-                level_search = tolerant(search, options, seen.base, rules, size, mip_level, kernels)
+                own = level_search(search, options, seen.base, rules, size, mip_level, kernels)
                 output, footprints = _fit_level(
-                    seen.base, rules, size, level_search, kernels, options.threads, mip_level, progress, known, coarser
+                    seen.base, rules, size, own, kernels, options.threads, mip_level, progress, known, coarser
                 )
                 complete(output, seen, next(averages))
-                keep_energy(output, rules, level_search, partial(_average_of, base, size, pixel_filter))
+                keep_energy(output, rules, own, partial(_average_of, base, size, pixel_filter))
                 level = _level(output, size, svbrdf, target, pixel_filter)
             level.seconds = time.perf_counter() - start
             pyramid.levels.append(level)
@@ -194,9 +194,7 @@ def search_settings(options: FitOptions, quality: Quality, base: Base, source: M
     low_scale, high_scale = _BOUNDS if kind == BOUNDED else (0.0, UNBOUNDED)
     if kind == FREE and options.energy > 0.0:
         kind = BOUNDED
-    loss = one_of("loss", options.loss, LOSSES)
-    if loss == "auto":
-        loss = "l2" if point else "displayed"
+    loss = LOSS_CODES[loss_of(options.loss, options.lights)]
     sharpest = float(base.perceptual.min()) if base.isotropic else options.min_roughness
     return Search(
         free=free,
@@ -218,10 +216,11 @@ def search_settings(options: FitOptions, quality: Quality, base: Base, source: M
         crowd=2,
         floor=0.0,
         allowed=0.0,
-        loss=LOSS_CODES[loss],
+        loss=loss,
+        squares=0.0,
         sky=0.0 if point else _SKY,
-        poor=_POOR_DISPLAYED if loss == "displayed" else _POOR,
-        rescaled=loss == "displayed",
+        poor=_POOR_DISPLAYED if loss == DISPLAYED else _POOR,
+        rescaled=loss == DISPLAYED,
         rendered=kind == BOUNDED and not point,
         usual=0 if options.tolerance is None else 1,
         cell=0.0 if point else quality.merge,
@@ -229,11 +228,11 @@ def search_settings(options: FitOptions, quality: Quality, base: Base, source: M
     )
 
 
-def tolerant(
+def level_search(
     search: Search, options: FitOptions, base: Base, rules: LevelRules, size: tuple[int, int], mip_level: int,
     kernels: ModelKernels,
 ) -> Search:  # fmt: skip
-    """``search`` for one level under ``options.tolerance``: how much error each shortcut may add to a texel.
+    """``search`` for one level: its loss, and under ``options.tolerance`` how much error shortcuts may add to a texel.
 
     A level's SNR is that of the mean of its texels' errors, and a tolerance in dB lets that mean grow by a share
     t = 10^(dB/10) - 1. The error of the closed form rises with the eighth power of how much lobes differ, so few texels
@@ -242,6 +241,7 @@ def tolerant(
     every texel pays for these. The mean error is taken from random texels fitted without shortcuts, which does not pay
     on a small level; it counts as that of ``PERFECT_DB`` at least.
     """
+    search = search._replace(squares=squares_of(loss_of(options.loss, options.lights), mip_level))
     if options.tolerance is None:
         return search
     share = 10.0 ** (0.1 * options.tolerance) - 1.0

@@ -8,8 +8,8 @@ from typing import ClassVar
 from brdffit.options import LobeOptions, option
 
 QUALITIES = ("draft", "standard", "fine")
-#: "auto" is l2 with a free scale under point lights (the half-angle error of the papers), else displayed and bounded.
-LOSSES = ("auto", "displayed", "seen", "l2", "relative", "l1")
+#: "auto" is l2 with a free scale under point lights (the half-angle error of the papers), else balanced and bounded.
+LOSSES = ("auto", "balanced", "displayed", "seen", "l2", "relative", "l1")
 SPECULARS = ("auto", "bounded", "free", "held")
 COLOURS = ("channels", "shared")
 
@@ -35,7 +35,8 @@ class FitOptions(LobeOptions):
         check=_check_lights,
     )  # fmt: skip
     loss: str = option(
-        "auto", "displayed: the error on a screen; l2 follows peaks, relative and l1 tails, seen between",
+        "auto", "displayed: the error on a screen; balanced: with squared errors from afar; l2 follows peaks, relative "
+        "and l1 tails, seen between",
         names=LOSSES,
     )  # fmt: skip
     energy: float = option(0.0, "share of a light from everywhere, which sees a lobe's energy alone", least=0.0)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from brdffit.fitting.batch import LevelRules, ModelKernels, Output, fit_texels, make_output, merges, model_kernels
 from brdffit.fitting.chain import parts_of, unions
 from brdffit.fitting.effects import Seen, complete, keep_energy, kernels_of, seen_by
-from brdffit.fitting.method import search_settings, tolerant
+from brdffit.fitting.method import level_search, search_settings
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.rules import level_rules
@@ -112,7 +112,7 @@ class LevelSample:
         rules = level_rules(pixel_filter, self.base_size, self.size, self.mip_level, chosen, lights=lights)
         search = search_settings(options, chosen, self.base, self.source, self.target)
         base, kernels = self.seen(options).base, kernels_of(options, self.source, self.target)
-        return rules, tolerant(search, options, base, rules, self.size, self.mip_level, kernels)
+        return rules, level_search(search, options, base, rules, self.size, self.mip_level, kernels)
 
     def fit(
         self, options: FitOptions | None = None, quality: Quality | None = None, float_width: int = 32,

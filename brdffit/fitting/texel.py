@@ -14,6 +14,7 @@ from brdffit.fitting.losses import (
     RELATIVE,
     ROUNDS,
     SEEN,
+    add_squares,
     weigh_absolutely,
     weigh_as_seen,
     weigh_relatively,
@@ -367,6 +368,8 @@ def fit_by_rule(
             weigh_relatively(nodes)
         elif search.loss == SEEN or search.loss == DISPLAYED:
             weigh_as_seen(nodes, scratch.moment, search.loss == DISPLAYED)
+            if search.squares > 0.0:
+                add_squares(nodes, search.squares)
     share_out(table)
     colour = scratch.colour
     for k in range(3):

@@ -111,9 +111,10 @@ def as_markdown(found: Tradeoff) -> str:
     parts = [
         f"# What accuracy costs in time\n\nBy `{found.command}` in {found.seconds:.0f} s on {ran_on}.\n\n"
         "Seconds per megatexel of the base for levels 0 to 5 (processor seconds over the number of cores; closed "
-        "forms: a whole bake); SNR of the error on a screen under lights of 2, 10 and 40 degrees, which the default "
-        "fit minimises, mean of these levels in dB; energy kept; the front: no candidate is faster and better; what "
-        "each dB costs that a candidate on the front has over the one before.\n",
+        "forms: a whole bake); SNR of the error under lights of 2, 10 and 40 degrees that the default fit minimises "
+        "(on a screen, with squared errors from afar), mean of these levels in dB; energy kept; the "
+        "front: no candidate is faster and better; what each dB costs that a candidate on the front has over the one "
+        "before.\n",
         "## What the front says of the presets\n\nThe cheapest setting of samples and nodes that loses no more than a "
         "preset may, then the preset itself. What is missing to the best candidate of a set, mean of the sets and the "
         f"worst of them in dB, levels above {PERFECT_DB:g} dB counting as that. Time: over that of standard, geometric "

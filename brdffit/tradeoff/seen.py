@@ -1,7 +1,8 @@
-"""The error on a screen under lights with a size, which the default fit minimises: measured densely, and its least.
+"""The error under lights with a size that the default fit minimises: measured densely, and its least.
 
-The half-angle error of the fit (``brdffit.halfangle.lights``) weighted as a screen shows it
-(``brdffit.fitting.losses``, DISPLAYED), by a rule with more nodes and other samples than any fit has.
+The half-angle error of the fit (``brdffit.halfangle.lights``) weighted as a screen shows it, with a share of the
+squared error from afar (``brdffit.fitting.losses``, BALANCED), by a rule with more nodes and other samples than any fit
+has.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.fitting.losses import weigh_as_seen
+from brdffit.fitting.losses import add_squares, squares_of, weigh_as_seen
 from brdffit.fitting.method import search_settings
 from brdffit.fitting.presets import quality_of
 from brdffit.fitting.sampling import LevelSample, Lobes
@@ -75,6 +76,7 @@ def _at_each_texel(sample: LevelSample, rule: Rule, work: Callable[[int, Problem
     search = search_settings(options, quality_of(options), sample.base, sample.source, sample.target)
     strata = dense_strata(sample.base_size, sample.size, options.pixel_filter, rule.samples)
     lights = sizes_of(LIGHTS, sample.source.blur, sample.target.blur)
+    squares = squares_of("balanced", sample.mip_level)
 
     def run(texels: Iterator[int]) -> None:
         problem = Problem(strata, lattice(rule.nodes, _SHIFT), search, sample.kernels(), lights)
@@ -82,6 +84,8 @@ def _at_each_texel(sample: LevelSample, rule: Rule, work: Callable[[int, Problem
             starts = problem.set_footprint(sample.base, int(sample.columns[i]), int(sample.rows[i]))
             for nodes in problem.sizes:
                 weigh_as_seen(nodes, problem.work[_MOMENT : _MOMENT + DIFFUSE_MOMENT], True)
+                if squares > 0.0:
+                    add_squares(nodes, squares)
             share_out(problem.table)
             problem.report[TARGET_NORM] = norm = target_norm(problem.table)
             if norm > 0.0:
