@@ -18,10 +18,10 @@ from brdffit.fitting.batch import (
     LevelRules,
     ModelKernels,
     Output,
+    cell_of,
     fit_texels,
     fitting_kernel,
     make_output,
-    merges,
     model_kernels,
 )
 from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
@@ -112,7 +112,7 @@ class NonlinearFit(LobeMethod):
         for mip_level, size in enumerate(sizes):
             start = time.perf_counter()
             rules = level_samplings[mip_level]
-            coarser = continued_by(level_samplings[mip_level : mip_level + 2]) if merges(base, search) else None
+            coarser = continued_by(level_samplings[mip_level : mip_level + 2])
             known, footprints = footprints, None
             if mip_level < authored:
                 level = Level(svbrdf.replace(height=None), status=np.full(size, KEPT, np.uint8))
@@ -275,8 +275,10 @@ def _fit_level(
     footprints, where the level before left them; ``coarser``: the chain of the next level, where its footprints are
     unions of these; then they are returned too.
     """
-    texels = size[0] * size[1]
+    texels, cell = size[0] * size[1], cell_of(rules, base, search)
     output = make_output(texels)
+    if not cell > 0.0:
+        coarser = None
     piece = max(1, min(_TEXELS_PER_PIECE, math.ceil(texels / _LEAST_PIECES)))
     if coarser is not None:
         # Whole pixels of the next level. Its footprints are made piece by piece: those of a level are many.
@@ -289,11 +291,11 @@ def _fit_level(
         columns, rows = np.arange(first, last) % size[1], np.arange(first, last) // size[1]
         own = None if known is None else known.part(first, last)
         if own is None and coarser is not None:
-            own = footprints_of(base, coarser.before(), search.step, search.cell, columns, rows)
+            own = footprints_of(base, coarser.before(), search.step, cell, columns, rows)
         part = Output(*(array[first:last] for array in output))
         fit_texels(base, rules, columns, rows, search, part, kernels, footprints=own)
         if own is not None and coarser is not None:
-            found[first] = unions(own, coarser, search.cell, rows=True)
+            found[first] = unions(own, coarser, cell, rows=True)
         return len(columns)
 
     done = 0

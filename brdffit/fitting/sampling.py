@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.fitting.batch import LevelRules, ModelKernels, Output, fit_texels, make_output, merges, model_kernels
+from brdffit.fitting.batch import LevelRules, ModelKernels, Output, cell_of, fit_texels, make_output, model_kernels
 from brdffit.fitting.chain import parts_of, unions
 from brdffit.fitting.effects import Seen, complete, keep_energy, kernels_of, seen_by
 from brdffit.fitting.method import level_search, search_settings
@@ -128,14 +128,14 @@ class LevelSample:
         seen, output = self.seen(options), make_output(len(self))
         kernels = kernels_of(options, self.source, self.target, float_width)
 
-        parts = self.parts(options, rules, search)
+        parts, cell = self.parts(options, rules, search), cell_of(rules, seen.base, search)
 
         def work(part: slice) -> None:
             own = Output(*(array[part] for array in output))
             footprints = None
             if parts is not None and rules.chain is not None:
                 many = len(parts) // len(self)
-                footprints = unions(parts.part(many * part.start, many * part.stop), rules.chain, search.cell)
+                footprints = unions(parts.part(many * part.start, many * part.stop), rules.chain, cell)
             fit_texels(
                 seen.base, rules, self.columns[part], self.rows[part], search, own, kernels, float_width, footprints
             )
@@ -155,15 +155,15 @@ class LevelSample:
         In a whole bake the level before leaves them. Here they are gathered once, for the time of further fits to be
         that of a bake.
         """
-        chain = rules.chain
-        if chain is None or len(chain.sizes) == 1 or not merges(self.base, search):
+        chain, cell = rules.chain, cell_of(rules, self.base, search)
+        if chain is None or len(chain.sizes) == 1 or not cell > 0.0:
             return None
         key = (
             options.colour,
             options.correlation,
             options.coupling,
             search.step,
-            search.cell,
+            cell,
             chain.strata[4:],
             chain[1:],
         )
@@ -172,7 +172,7 @@ class LevelSample:
 
             def gather(k: int) -> Footprints:
                 part = slice(bounds[k], bounds[k + 1])
-                return parts_of(base, chain, search.step, search.cell, self.columns[part], self.rows[part])
+                return parts_of(base, chain, search.step, cell, self.columns[part], self.rows[part])
 
             with ThreadPoolExecutor(self.threads) as pool:
                 self._parts[key] = joined(list(pool.map(gather, range(4 * self.threads))))
