@@ -35,8 +35,7 @@ class FitOptions(LobeOptions):
         check=_check_lights,
     )  # fmt: skip
     loss: str = option(
-        "auto", "displayed: the error on a screen; balanced: with squared errors from afar; l2 follows peaks, relative "
-        "and l1 tails, seen between",
+        "auto", "displayed: as a screen shows errors; balanced: and l2 from afar; l2: peaks; relative, l1: tails",
         names=LOSSES,
     )  # fmt: skip
     energy: float = option(0.0, "share of a light from everywhere, which sees a lobe's energy alone", least=0.0)
