@@ -8,7 +8,7 @@ from lobe_oracle import lobe, log_tensor_of, normal_of_slopes, slope_rule
 
 from brdffit.errors import InputError
 from brdffit.fitting.batch import diffuse_under_sky, model_kernels
-from brdffit.fitting.losses import add_squares, set_diffuse_error, squares_of, weigh_as_seen
+from brdffit.fitting.losses import add_squares, balance_of, set_diffuse_error, weigh_as_seen
 from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
@@ -237,9 +237,11 @@ def test_a_balanced_error_is_the_mean_of_the_displayed_and_the_squared_one():
     assert error() == pytest.approx((displayed + 0.4 * squared) / 1.4, rel=1e-5)
 
 
-@pytest.mark.parametrize("name, level, weight", [("balanced", 1, 0.0), ("balanced", 3, 0.4), ("displayed", 3, 0.0)])
-def test_squares_count_from_afar(name, level, weight):
-    assert squares_of(name, level) == pytest.approx(weight)
+@pytest.mark.parametrize(
+    "loss, level, dark, squares", [("balanced", 1, 0.2, 0.0), ("balanced", 3, 0.5, 0.4), ("displayed", 1, 0.5, 0.0)]
+)
+def test_squares_count_from_afar_and_glow_near_by(loss, level, dark, squares):
+    assert balance_of(loss, level) == pytest.approx((dark, squares))
 
 
 @pytest.mark.parametrize("specular, least, most", [("bounded", 0.9, 1.1), ("held", 0.9999, 1.0001)])

@@ -10,7 +10,7 @@ from hard_cases.displayed_oracle import Lobe, Target, footprint
 from test_fitting import surface
 
 from brdffit.cli import main
-from brdffit.fitting.losses import squares_of
+from brdffit.fitting.losses import balance_of
 from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.halfangle.measure import random_texels
 from brdffit.textures.procedural import make_set
@@ -99,7 +99,7 @@ def test_the_error_on_a_screen_is_that_of_random_samples_and_half_vectors(grey):
         normals, alpha_squared = footprint(base, sample.size, sample.rows[i], sample.columns[i], 48, random)
         lobes = [Lobe(output.normal[i], version.theta[i, 2:5]) for version in (fitted, wide)]
         diffuse = 0.1 * np.linalg.norm(normals.mean(axis=0))
-        target = Target(normals, alpha_squared, GREY, diffuse, lobes, 4096, random, squares_of("balanced", 2))
+        target = Target(normals, alpha_squared, GREY, diffuse, lobes, 4096, random, *balance_of("balanced", 2))
         for k, lobe in enumerate(lobes):
             # Both rules err by a few percent of the error; what is left of an error of 1e-3 is not seen.
             expected = target.error(lobe, fitted.scale[i, 0] / GREY)

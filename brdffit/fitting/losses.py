@@ -17,7 +17,8 @@
 
 - BALANCED: from level 2 on (DISPLAYED + w SQUARED) / (1 + w), each a share of its own norm of the target, so that it
   is DISPLAYED with a floor under its weight: w = 0.2 a level. From afar a lobe stands for many, misses part of them
-  whatever it is, and DISPLAYED alone gives highlights away for the dark beside them.
+  whatever it is, and DISPLAYED alone gives highlights away for the dark beside them. Near by, at levels 0 and 1, a lobe
+  stands for few, and what shows is its glow in the dark: DISPLAYED with 0.2 instead of 0.5 of the mean light in k'.
 
 The knee is 3% of the target's highest value on the nodes: below it RELATIVE counts errors absolutely, and L1 squared.
 An energy constraint needs no loss of its own: lobes are normalised, so a scale held at the filtered colour keeps the
@@ -45,13 +46,16 @@ LOSS_CODES = {"l2": L2, "relative": RELATIVE, "l1": L1, "seen": SEEN, "displayed
 #: Reweighted fits of L1 after the first.
 ROUNDS = 4
 _KNEE = 0.03
-# DISPLAYED: the share of the mean light in its denominator. Mean of (n.l) (n.v) over cosine-distributed l and v.
-_DARK, _BOTH_COSINES = 0.5, 4.0 / 9.0
+#: DISPLAYED: the share of the mean light in its denominator.
+DARK = 0.5
+# Mean of (n.l) (n.v) over cosine-distributed l and v.
+_BOTH_COSINES = 4.0 / 9.0
 # Mean squared error of diffuse light, in units of a lobe, for a squared error of 1 in the vector d n: see
 # ``set_diffuse_error``.
 _DIFFUSE_ERROR = 2.0 / math.pi**2
-# BALANCED: weight of the squared error for each level, counted from the last level without it.
-_SQUARES_A_LEVEL, _SQUARES_AFTER = 0.2, 1
+# BALANCED: the last level near by, the share of the mean light there, the weight of the squared error for each level
+# beyond.
+_NEAR, _DARK_NEAR, _SQUARES_A_LEVEL = 1, 0.2, 0.2
 
 
 def loss_of(name: str, lights: str) -> str:
@@ -65,9 +69,12 @@ def loss_of(name: str, lights: str) -> str:
     return "l2" if lights == "point" else "balanced"
 
 
-def squares_of(loss: str, mip_level: int) -> float:
-    """Weight w of the squared error beside the displayed one, see BALANCED; 0 for other losses."""
-    return _SQUARES_A_LEVEL * max(mip_level - _SQUARES_AFTER, 0) if loss == "balanced" else 0.0
+def balance_of(loss: str, mip_level: int) -> tuple[float, float]:
+    """The share of the mean light in DISPLAYED's denominator, and the weight w of the squared error beside it (0 for
+    losses other than BALANCED)."""
+    if loss != "balanced":
+        return DARK, 0.0
+    return _DARK_NEAR if mip_level <= _NEAR else DARK, _SQUARES_A_LEVEL * max(mip_level - _NEAR, 0)
 
 
 @kernel
@@ -93,11 +100,11 @@ def weigh_relatively(nodes):
 
 
 @kernel
-def weigh_as_seen(nodes, moment, displayed):
+def weigh_as_seen(nodes, moment, displayed, dark=DARK):
     """WEIGHT <- MEASURE k / (T + k); if ``displayed``, MEASURE (k' / (T + k'))^1.5. See the head of this file.
 
     T and d are sums over channels. ``moment`` (DIFFUSE_MOMENT,): its first nine entries are the sums of diffuse colour
-    times normal, (channel, axis); d of a channel is the length of its sum.
+    times normal, (channel, axis); d of a channel is the length of its sum. ``dark``: share of the mean light in k'.
     """
     red, green, blue, weight, measure = nodes[RED], nodes[GREEN], nodes[BLUE], nodes[WEIGHT], nodes[MEASURE]
     whole, mean = real(0.0), real(0.0)
@@ -111,7 +118,7 @@ def weigh_as_seen(nodes, moment, displayed):
     diffuse *= 4.0 / math.pi
     if displayed:
         diffuse *= _BOTH_COSINES
-        knee = real(_DARK) * (mean + real(diffuse)) + real(diffuse)
+        knee = real(dark) * (mean + real(diffuse)) + real(diffuse)
     else:
         knee = mean + real(diffuse)
     if not knee > real(0.0):

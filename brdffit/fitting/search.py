@@ -83,7 +83,7 @@ class Search(NamedTuple):
         floor: relative squared error that few nodes and an early stop may each add to a texel.
         allowed: relative squared error that the closed form may add.
         loss: a code of brdffit.fitting.losses.
-        squares: weight of the squared error beside DISPLAYED.
+        dark, squares: share of the mean light in DISPLAYED's denominator, weight of the squared error beside it.
         sky: weight of an even sky in the fit of the diffuse colour; the rest is point lights.
         poor: relative squared error above which further starts are tried.
         rescaled: whether the first step scales the first inverse Hessian.
@@ -113,6 +113,7 @@ class Search(NamedTuple):
     floor: float
     allowed: float
     loss: int
+    dark: float
     squares: float
     sky: float
     poor: float

@@ -367,7 +367,7 @@ def fit_by_rule(
         if search.loss == RELATIVE:
             weigh_relatively(nodes)
         elif search.loss == SEEN or search.loss == DISPLAYED:
-            weigh_as_seen(nodes, scratch.moment, search.loss == DISPLAYED)
+            weigh_as_seen(nodes, scratch.moment, search.loss == DISPLAYED, search.dark)
             if search.squares > 0.0:
                 add_squares(nodes, search.squares)
     share_out(table)

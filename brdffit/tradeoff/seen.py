@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.fitting.losses import add_squares, squares_of, weigh_as_seen
+from brdffit.fitting.losses import add_squares, balance_of, weigh_as_seen
 from brdffit.fitting.method import search_settings
 from brdffit.fitting.presets import quality_of
 from brdffit.fitting.sampling import LevelSample, Lobes
@@ -76,14 +76,14 @@ def _at_each_texel(sample: LevelSample, rule: Rule, work: Callable[[int, Problem
     search = search_settings(options, quality_of(options), sample.base, sample.source, sample.target)
     strata = dense_strata(sample.base_size, sample.size, options.pixel_filter, rule.samples)
     lights = sizes_of(LIGHTS, sample.source.blur, sample.target.blur)
-    squares = squares_of("balanced", sample.mip_level)
+    dark, squares = balance_of("balanced", sample.mip_level)
 
     def run(texels: Iterator[int]) -> None:
         problem = Problem(strata, lattice(rule.nodes, _SHIFT), search, sample.kernels(), lights)
         for i in texels:
             starts = problem.set_footprint(sample.base, int(sample.columns[i]), int(sample.rows[i]))
             for nodes in problem.sizes:
-                weigh_as_seen(nodes, problem.work[_MOMENT : _MOMENT + DIFFUSE_MOMENT], True)
+                weigh_as_seen(nodes, problem.work[_MOMENT : _MOMENT + DIFFUSE_MOMENT], True, dark)
                 if squares > 0.0:
                     add_squares(nodes, squares)
             share_out(problem.table)

@@ -2,9 +2,9 @@
 
     E = mean over sizes s of int |T_s - rho F_s|^2 v_s w(h) dh / int |T_s|^2 v_s w(h) dh, v_s = (k_s / (T_s + k_s))^1.5,
 
-k_s = D + (mean T_s + D) / 2, D = 16 d / (9 pi) of the diffuse albedo d, T_s and F_s widened by a_s^2 = 0.74 (r_s / 2)^2
-(the heads of brdffit/halfangle/lights.py and brdffit/fitting/losses.py); with ``squares`` w, (E + w S) / (1 + w), S as
-E with v_s = 1. No kernel of the program is called, and
+k_s = D + b (mean T_s + D), b = 1/2 or ``dark``, D = 16 d / (9 pi) of the diffuse albedo d, T_s and F_s widened by
+a_s^2 = 0.74 (r_s / 2)^2 (the heads of brdffit/halfangle/lights.py and brdffit/fitting/losses.py); with ``squares`` w,
+(E + w S) / (1 + w), S as E with v_s = 1. No kernel of the program is called, and
 nothing is shared with the fit: samples of the footprint and half vectors are random.
 
 The footprint is a random sample, so T is noisy at each half vector. The noise adds the same to the error of every lobe,
@@ -41,10 +41,10 @@ def footprint(base, level_size, row, column, side, rng):
     return unit(bilinear(base.normal, y, x)), bilinear(np.exp(base.log_roughness[..., 0] / 4), y, x) ** 4
 
 
-def knee_of(mean, diffuse):
+def knee_of(mean, diffuse, dark=0.5):
     """k of a mean of T and the diffuse albedo of each channel."""
     beside = 16 / (9 * math.pi) * 3 * diffuse
-    return beside + (mean + beside) / 2
+    return beside + dark * (mean + beside)
 
 
 def share_of_norm(weight, shape):
@@ -130,10 +130,10 @@ class Target:
         specular: colour of each channel; diffuse: albedo of each channel.
         compared: lobes that half vectors are drawn from as well.
         nodes: half vectors for each size of light.
-        squares: weight of the squared error beside the displayed one.
+        dark: share of the mean light in k_s; squares: weight of the squared error beside the displayed one.
     """
 
-    def __init__(self, normals, alpha_squared, specular, diffuse, compared, nodes, rng, squares=0.0):
+    def __init__(self, normals, alpha_squared, specular, diffuse, compared, nodes, rng, dark=0.5, squares=0.0):
         self.sizes = []
         normals = normals.astype(np.float32)
         for square in SQUARES:
@@ -154,7 +154,7 @@ class Target:
                 density += few * lobe.values(h, square) * np.maximum(h @ lobe.normal, 0)
             measure = 2 / math.pi * h[:, 2] ** 3 / (density + left * h[:, 2] / math.pi)
             light = 3 * specular * shape
-            knee = knee_of((measure * light).sum() / measure.sum(), diffuse)
+            knee = knee_of((measure * light).sum() / measure.sum(), diffuse, dark)
             weight = share_of_norm(measure * (knee / (light + knee)) ** 1.5, shape)
             weight += squares * share_of_norm(measure, shape)
             self.sizes.append((h, shape, weight / (1 + squares) / len(SQUARES), square))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from lobe_oracle import disc_grid, normal_of_slopes, unit
 
-from brdffit.fitting.losses import squares_of
+from brdffit.fitting.losses import balance_of
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample, Lobes
 from brdffit.fitting.status import FALLBACK, POOR
@@ -123,8 +123,8 @@ class RandomMirrors:
         row, column = self.sample.rows[i], self.sample.columns[i]
         normals, alpha_squared = footprint(self.base, self.sample.size, row, column, rule[0], self.rng)
         diffuse = self.diffuse * np.linalg.norm(normals.mean(axis=0))
-        squares = squares_of("balanced", self.sample.mip_level)
-        return Target(normals, alpha_squared, GREY, diffuse, lobes, rule[1], self.rng, squares), normals
+        balance = balance_of("balanced", self.sample.mip_level)
+        return Target(normals, alpha_squared, GREY, diffuse, lobes, rule[1], self.rng, *balance), normals
 
     def scan(self, i, rule):
         """(target, errors of isotropic lobes, ascending, and these lobes) at texel i."""
