@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdffit.errors import InputError
-from brdffit.fitting.batch import LevelRules, ModelKernels, Output, model_kernels
+from brdffit.fitting.batch import LevelRules, ModelKernels, Output, cell_of, model_kernels
 from brdffit.fitting.options import COLOURS, FitOptions
 from brdffit.fitting.search import Search
 from brdffit.fitting.status import NO_SPECULAR
@@ -90,14 +90,20 @@ def complete(output: Output, seen: Seen, averages: Mapping[str, NDArray]) -> Non
         np.multiply(output.specular, colour, out=output.specular, casting="same_kind")
 
 
-def keep_energy(output: Output, rules: LevelRules, search: Search, average: Callable[[], NDArray]) -> None:
+def keep_energy(
+    output: Output, base: Base, rules: LevelRules, search: Search, average: Callable[[], NDArray]
+) -> None:  # fmt: skip
     """Bring the specular colours of n texels within their bounds of the exact average, (n, 3), in each channel.
 
     The search bounds its scale by the colour of the footprint's samples. Where these are at random points, a footprint
     whose surface is a thin rim has few of them on it, which may see half of its colour (a leaf that reaches into a
-    texel by half a base texel). ``average`` is not called where samples are at regular places or nothing is bounded.
+    texel by half a base texel). ``average`` is not called where samples are at regular places (on the level that the
+    footprints are merged from), or nothing is bounded.
     """
-    at_random = rules.strata.jitter_x > 0.0 or rules.strata.jitter_y > 0.0
+    strata = rules.strata
+    if rules.chain is not None and cell_of(rules, base, search) > 0.0:
+        strata = rules.chain.strata
+    at_random = strata.jitter_x > 0.0 or strata.jitter_y > 0.0
     if at_random and search.rendered and search.scale_high < UNBOUNDED:
         colour = average()
         reflects = (colour > 0.0) & (output.status != NO_SPECULAR)[:, None]

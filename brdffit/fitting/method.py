@@ -124,7 +124,7 @@ class NonlinearFit(LobeMethod):
                     seen.base, rules, size, own, kernels, options.threads, mip_level, progress, known, coarser
                 )
                 complete(output, seen, next(averages))
-                keep_energy(output, rules, own, partial(_average_of, base, size, pixel_filter))
+                keep_energy(output, base, rules, own, partial(_average_of, base, size, pixel_filter))
                 level = _level(output, size, svbrdf, target, pixel_filter)
             level.seconds = time.perf_counter() - start
             pyramid.levels.append(level)

@@ -142,7 +142,8 @@ class LevelSample:
 
         self._in_parts(work)
         complete(output, seen, self.averages(options))
-        keep_energy(output, rules, search, partial(self._average, self.base.specular, options.pixel_filter))
+        exact = partial(self._average, self.base.specular, options.pixel_filter)
+        keep_energy(output, self.base, rules, search, exact)
         normal = output.normal.astype(np.float64)
         theta = np.zeros((len(self), 6))
         theta[:, 0:2] = -normal[:, 0:2] / np.maximum(normal[:, 2:3], 1e-3)

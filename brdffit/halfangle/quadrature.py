@@ -244,6 +244,18 @@ def tabulate(lobes, count, isotropic, grey, nodes):
         elif lobes[i, MEAN] + lobes[i, MEAN + 1] > 0.0:
             m_uu, m_vv, m_uv = real(lobes[i, MEAN]), real(lobes[i, MEAN + 1]), real(lobes[i, MEAN + 2])
             trace = m_uu + m_vv
+            if grey:
+                for j in range(size):
+                    u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
+                    v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
+                    cos = n_x * h_x[j] + n_y * h_y[j] + n_z * h_z[j]
+                    q = u * u + v * v
+                    C = cos * cos
+                    single = ggx_profile(q, C, shape)
+                    mean = single * mean_over_normals(u, v, q, C, trace, m_uu, m_vv, m_uv)
+                    red[j] += a_red * mean if not HORIZON or cos > real(0.0) else real(0.0)
+                    density[j] += a_density * single * max(cos, real(0.0))
+                continue
             for j in range(size):
                 u = u_x * h_x[j] + u_y * h_y[j] + u_z * h_z[j]
                 v = v_x * h_x[j] + v_y * h_y[j] + v_z * h_z[j]
