@@ -265,12 +265,18 @@ def take_if_alike(count, scratch, search, light, alike, isotropic, has_diffuse, 
     for p in range(PARAMETERS):
         theta[p] = scratch.best[p] = start[p]
     clamp_to_domain(theta, search)
+    keep_colour(theta, search, red, green, blue, report)
+    report[RESIDUAL] = loss
+    return True
+
+
+@inline
+def keep_colour(theta, search, red, green, blue, report):
+    """The filtered colour as the scale of the lobe, times what makes up for light that it loses to masking."""
     scale = 1.0
     if report[ALBEDO] > 0.0:
         scale = min(max(report[ALBEDO] / max(albedo_of(theta), 0.01), search.scale_low), search.scale_high)
     report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = scale * red, scale * green, scale * blue
-    report[RESIDUAL] = loss
-    return True
 
 
 @part
@@ -297,6 +303,10 @@ def prefer_average(scratch, table, search, alike, moments_kernel, values_kernel,
             settle_scale(
                 theta, table, setting, values_kernel, log_normalisation, search.exponent, scratch.work, scratch.report
             )
+            if k == 0 and search.rendered:
+                # What the lights cannot tell apart gives no reason for another scale: a mirror stays as bright.
+                r, g, b = scratch.report[FILTERED], scratch.report[FILTERED + 1], scratch.report[FILTERED + 2]
+                keep_colour(theta, search, r, g, b, scratch.report)
             break
 
 
