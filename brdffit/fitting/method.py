@@ -312,7 +312,7 @@ def _fit_level(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return output, joined([found[first] for first in sorted(found)]) if found else None
+    return output, joined([found.pop(first) for first in sorted(found)]) if found else None
 
 
 def _level(output: Output, size: tuple[int, int], base: Svbrdf, target: Model, pixel_filter: PixelFilter) -> Level:

@@ -63,15 +63,18 @@ def no_footprints() -> Footprints:
 
 
 def joined(parts: list[Footprints]) -> Footprints:
-    """Footprints one after the other."""
-    parts = [no_footprints(), *parts]
-    shift = np.cumsum([0, *(len(part.lobes) for part in parts)])
-    first = [part.first[1:] + at for part, at in zip(parts, shift, strict=False)]
-    return Footprints(
-        np.concatenate([np.zeros(1, np.int64), *first]),
-        np.concatenate([part.lobes for part in parts]),
-        np.concatenate([part.sums for part in parts]),
-    )
+    """Footprints one after the other. ``parts`` is emptied, so that they are not held twice: they may be many."""
+    texels, lobes = sum(len(part) for part in parts), sum(len(part.lobes) for part in parts)
+    whole = Footprints(np.zeros(texels + 1, np.int64), np.empty((lobes, STORED), np.float32), np.empty((texels, SUMS)))
+    at = 0
+    while parts:
+        part = parts.pop(0)
+        used = whole.first[at]
+        whole.first[at + 1 : at + len(part) + 1] = used + part.first[1:]
+        whole.lobes[used : used + len(part.lobes)] = part.lobes
+        whole.sums[at : at + len(part)] = part.sums
+        at += len(part)
+    return whole
 
 
 @inline
