@@ -25,11 +25,13 @@ from numpy.typing import NDArray
 from brdffit._jit import inline, kernel
 from brdffit.fitting.status import CONVERGED, FALLBACK, ITERATION_LIMIT, PRECISION_LIMIT
 from brdffit.halfangle.frame import tensor_of_log
-from brdffit.halfangle.lights import EVALUATION, evaluate_table
+from brdffit.halfangle.lights import EVALUATION, LOBE_BLUR, evaluate_table
 from brdffit.halfangle.objective import PARAMETERS
 
 _SHIFT, _SIZE, _STRETCH, _SHAPE = 0.65, 1.8, 1.6, 1.0
-_LONGEST_STEP = 2.0
+# Longest step; under lights with a size, below which the error is flat in log alpha^2: a long step from a wide start
+# would end there, beyond the best lobe.
+_LONGEST_STEP, _LONGEST_SEEN = 2.0, 0.7
 _ARMIJO = 1e-4
 _BACKTRACKS = 8
 # Bounds of the factor by which the first step may scale the first matrix.
@@ -109,6 +111,7 @@ def minimise(
     # Held parameters have zeros in the matrix: all loops then have a fixed length, which the compiler unrolls.
     inverse = space.inverse
     xx, yy, xy = first_inverse(theta, free, inverse)
+    longest = _LONGEST_SEEN if table.lights[0, LOBE_BLUR] > 0.0 else _LONGEST_STEP
     evaluations = 0
     for iteration in range(most):
         slope = 0.0
@@ -127,7 +130,7 @@ def minimise(
         shift = (yy * step[0] ** 2 + xx * step[1] ** 2 - 2.0 * xy * step[0] * step[1]) / (xx * yy - xy * xy)
         size, stretch = 0.5 * (step[2] + step[3]) / _SIZE, 0.5 * (step[2] - step[3]) / _STRETCH
         length = shift + size**2 + stretch**2 + (step[4] / _STRETCH) ** 2 + (step[5] / _SHAPE) ** 2
-        t = 1.0 if length <= _LONGEST_STEP * _LONGEST_STEP else _LONGEST_STEP / math.sqrt(length)
+        t = 1.0 if length <= longest * longest else longest / math.sqrt(length)
         accepted = False
         trial_value = value
         for _ in range(_BACKTRACKS):

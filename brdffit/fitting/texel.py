@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from brdffit._jit import inline, part
+from brdffit.fitting.alike import SHARP, prefer_average, take_if_alike
 from brdffit.fitting.bfgs import FREE_ANISOTROPY
 from brdffit.fitting.losses import (
     DISPLAYED,
@@ -24,7 +25,6 @@ from brdffit.fitting.scoring import (
     BLUE_SCALE,
     COVERAGE,
     DISAGREEMENT,
-    EVALUATIONS,
     FILTERED,
     GREEN_SCALE,
     RED_SCALE,
@@ -39,9 +39,7 @@ from brdffit.fitting.shortcuts import (
     FLAT_EXCESS,
     NOT_KNOWN,
     closed_form,
-    diffuse_beside,
     fitted_error,
-    nearly_alike,
 )
 from brdffit.fitting.status import (
     CLOSED_FORM,
@@ -53,7 +51,7 @@ from brdffit.fitting.status import (
     POOR,
     REFINED,
 )
-from brdffit.halfangle.albedo import albedo_of, albedo_of_lobes
+from brdffit.halfangle.albedo import albedo_of_lobes
 from brdffit.halfangle.apparent_lobe import (
     add_defensive_lobe,
     gather_lobes,
@@ -62,9 +60,9 @@ from brdffit.halfangle.apparent_lobe import (
 )
 from brdffit.halfangle.closed_forms import (
     DEFENSIVE_SHARE,
+    DEFENSIVE_SHARE_SEEN,
     LEAN,
     STARTS,
-    XX,
     first_start,
     footprint_moments,
     light_lobes,
@@ -73,7 +71,8 @@ from brdffit.halfangle.closed_forms import (
     widen_round_lobes,
 )
 from brdffit.halfangle.footprints import REFLECTED, average_of_footprint, average_of_lobes, set_average, take_footprint
-from brdffit.halfangle.lights import BASE_BLUR, evaluate_table, points_of, segment, values_of
+from brdffit.halfangle.frame import eigen_log
+from brdffit.halfangle.lights import BASE_BLUR, points_of, segment, values_of
 from brdffit.halfangle.merging import mean_spread, merge_lobes
 from brdffit.halfangle.objective import FREE, HELD, HOLDS, PARAMETERS
 from brdffit.halfangle.quadrature import (
@@ -95,12 +94,20 @@ _NARROW_SPREAD = 0.002
 _HIDDEN, _LOST = 0.3, 0.6
 # Added to a footprint's strata where its samples are compared with them, so that small footprints may be cut up more.
 _FEW_STRATA = 16
-# Where the mean alpha^2 is below this multiple of the smallest light's a^2, lobes may look alike: mirrors, if their
-# errors differ by less than a share plus a floor; wider lobes if by less, down to nothing at that multiple. Then the
-# positions that are tried between the found lobe (0) and the averaged (1).
-_SHARP, _ALIKE, _ALIKE_FLOOR, _NEARER = 2.0, 0.02, 3e-3, (1.0, 0.75, 0.5, 0.25)
+# Log alpha^2 of the closed-form lobe above which a good part of the nodes that it draws lies below the horizon.
+_WIDE = math.log(0.25)
+# Residual and squared ratio of axes above which a lobe is looked at again with nodes of its own.
+_MISSED, _LONG = 0.1, 8.0
 #: How often a texel may add nodes around a lobe that was found where there are none.
 GUARDS = 3
+
+
+@inline
+def is_suspect(theta, residual, light):
+    """Whether nodes may have missed where a lobe shines in the dark: it misses much of its target, and is long, as the
+    smallest light shows it."""
+    l1, l2, _, _ = eigen_log(theta[2], theta[3], theta[4])
+    return residual > _MISSED and math.exp(l1) + light > _LONG * (math.exp(l2) + light)
 
 
 @inline
@@ -146,7 +153,7 @@ def fit_texel(
     if sized and base.isotropic and search.same_model:
         x, y, z, log = average_of_lobes(lobes, count) if not merged else average_of_footprint(footprints, index)
         if set_average(x, y, z, log, lobes[0, SHAPE], scratch.average):
-            alike = 1.0 - math.exp(scratch.average[2]) / (_SHARP * lights[0, BASE_BLUR])
+            alike = 1.0 - math.exp(scratch.average[2]) / (SHARP * lights[0, BASE_BLUR])
     if search.rendered and some:
         report[ALBEDO] = (
             albedo_of_lobes(lobes, count, base.isotropic) if not merged else footprints.sums[index, REFLECTED]
@@ -175,9 +182,11 @@ def fit_texel(
         theta[p] = scratch.best[p] = start[p]
     if flat and search.same_model:
         return FLAT if some else NO_SPECULAR
+    narrow = sized and max(start[2], start[3]) < _WIDE
+    share = DEFENSIVE_SHARE_SEEN if narrow else DEFENSIVE_SHARE
     for s in range(lights.shape[0]):
         own, many = scratch.lobes[s], scratch.counts[s]
-        add_defensive_lobe(own, many, DEFENSIVE_SHARE, start[0], start[1], start[2], start[3], start[4])
+        add_defensive_lobe(own, many, share, start[0], start[1], start[2], start[3], start[4])
         light_lobes(own, many, many + 1, False, lights[s, BASE_BLUR])
         normalise_shapes(own, many, base.has_shape, source_log_normalisation)
     crowded = count > search.crowd * (_FEW_STRATA + strata.x.size * strata.y.size)
@@ -185,11 +194,11 @@ def fit_texel(
     spare = spared(search.floor, rules[0].values.shape[0])
     if not crowded and fitted_error(expected) <= spare:
         tier = 0
-    guards, mending, warm = 0, False, False
+    guards, mending, warm, checked = 0, False, False, False
     while True:
         # A texel that needs more nodes often has separate peaks: the highest gets a search of its own, once.
         follow = STARTS if mending else 2 if tier > search.usual else 1
-        if warm and not mending and tier > search.usual + 1:
+        if checked or warm and not mending and tier > search.usual + 1:
             follow = 0
         status = fit_by_rule(
             base, lobes_isotropic, some, scratch, rules[tier], search, follow, warm,
@@ -204,7 +213,19 @@ def fit_texel(
                 scratch.starts[LEAN, p] = theta[p]
         # More nodes refine what was found, but a lobe that hides from the nodes is none to start from.
         warm = sized and not hidden
+        if checked:
+            break
         if hidden and guards < GUARDS:
+            pass
+        elif report[RESIDUAL] > BESIDE and not mending:
+            # The lobe misses its target: try all starts and the target's own peaks, with more nodes.
+            mending = True
+        elif not doubtful or tier == len(rules) - 1:
+            # Nodes are few where a long lobe shines and its target is dark: look again, with nodes of the lobe's own.
+            checked = sized and guards < GUARDS and is_suspect(theta, report[RESIDUAL], lights[0, BASE_BLUR])
+            if not checked:
+                break
+        if guards < GUARDS and (hidden or checked):
             for s in range(lights.shape[0]):
                 own, many = scratch.lobes[s], scratch.counts[s]
                 if lobes_isotropic:
@@ -214,12 +235,8 @@ def fit_texel(
                 scratch.counts[s] += 1
             lobes_isotropic = False
             guards += 1
-        elif report[RESIDUAL] > BESIDE and not mending:
-            # The lobe misses its target: try all starts and the target's own peaks, with more nodes.
-            mending = True
-        elif not doubtful or tier == len(rules) - 1:
-            break
-        tier = min(tier + 1, len(rules) - 1)
+        if not checked:
+            tier = min(tier + 1, len(rules) - 1)
     if status == CONVERGED and tier != search.usual:
         status = REFINED if tier > search.usual else FEW_NODES
     if abs(report[COVERAGE] - 1.0) > _LOST:
@@ -238,76 +255,6 @@ def fit_texel(
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         report[RESIDUAL] = 1.0
     return status
-
-
-@part
-def take_if_alike(count, scratch, search, light, alike, isotropic, has_diffuse, red, green, blue):
-    """LEAN's lobe into ``scratch.theta`` where the lobes differ so little under the smallest light that the search
-    would gain less than what is negligible; returns whether."""
-    lobes, theta, moments, report = scratch.lobes[0], scratch.theta, scratch.moments, scratch.report
-    if not (red > 0.0 and green > 0.0 and blue > 0.0):
-        return False
-    footprint_moments(lobes, count, True, moments)
-    loss = 0.1 * nearly_alike(lobes, count, moments, light)
-    if not loss <= search.negligible:
-        return False
-    if has_diffuse and search.sky > 0.0:
-        if diffuse_beside(scratch.moment, moments, red, green, blue, light) > search.negligible:
-            return False
-    first_start(moments, isotropic, scratch.starts)
-    start = scratch.starts[LEAN]
-    if alike > 0.0:
-        # As in ``prefer_average``: by how much the width of the averaged lobe is off, as the smallest light shows it.
-        wider = 0.5 * (math.exp(start[2]) + math.exp(start[3])) - math.exp(scratch.average[2])
-        wider /= moments[XX] + light
-        if 0.15 * wider * wider <= alike * _ALIKE_FLOOR:
-            start = scratch.average
-    for p in range(PARAMETERS):
-        theta[p] = scratch.best[p] = start[p]
-    clamp_to_domain(theta, search)
-    keep_colour(theta, search, red, green, blue, report)
-    report[RESIDUAL] = loss
-    return True
-
-
-@inline
-def keep_colour(theta, search, red, green, blue, report):
-    """The filtered colour as the scale of the lobe, times what makes up for light that it loses to masking."""
-    scale = 1.0
-    if report[ALBEDO] > 0.0:
-        scale = min(max(report[ALBEDO] / max(albedo_of(theta), 0.01), search.scale_low), search.scale_high)
-    report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = scale * red, scale * green, scale * blue
-
-
-@part
-def prefer_average(scratch, table, search, alike, moments_kernel, values_kernel, log_normalisation):
-    """Replace the lobe that was found by the averaged one, or by one between, if the lights hardly distinguish them.
-
-    Lobes much sharper than the smallest light differ only in their tails, which are in proportion to alpha^2: too wide
-    a lobe glows where the base is dark. ``alike``: 1 for mirrors, falling to 0 where lights show a lobe's width.
-    """
-    theta, start, setting, space = scratch.theta, scratch.start, scratch.setting, scratch.space
-    found = evaluate_table(theta, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation)
-    bound = found + alike * (_ALIKE * (1.0 + found) + _ALIKE_FLOOR)
-    for k in range(len(_NEARER)):
-        for p in range(PARAMETERS):
-            start[p] = theta[p] + _NEARER[k] * (scratch.average[p] - theta[p])
-        clamp_to_domain(start, search)
-        value = evaluate_table(
-            start, table, setting, moments_kernel, log_normalisation, space.gradient, space.evaluation
-        )
-        scratch.report[EVALUATIONS] += 1
-        if value <= bound:
-            for p in range(PARAMETERS):
-                theta[p] = start[p]
-            settle_scale(
-                theta, table, setting, values_kernel, log_normalisation, search.exponent, scratch.work, scratch.report
-            )
-            if k == 0 and search.rendered:
-                # What the lights cannot tell apart gives no reason for another scale: a mirror stays as bright.
-                r, g, b = scratch.report[FILTERED], scratch.report[FILTERED + 1], scratch.report[FILTERED + 2]
-                keep_colour(theta, search, r, g, b, scratch.report)
-            break
 
 
 @part

@@ -48,8 +48,9 @@ MOMENTS = 11
 # Largest eigenvalue of MEAN: at 1/3 the mean over normals would reach 0 far away.
 _LARGEST_MEAN = 0.3
 
-#: Share of the quadrature nodes that the closed-form lobe draws.
-DEFENSIVE_SHARE = 0.25
+#: Share of the quadrature nodes that the closed-form lobe draws; and under lights with a size, whose loss counts the
+#: dark beside a sharp target, where only this lobe draws nodes.
+DEFENSIVE_SHARE, DEFENSIVE_SHARE_SEEN = 0.25, 0.5
 
 
 @inline
