@@ -238,7 +238,8 @@ def test_a_balanced_error_is_the_mean_of_the_displayed_and_the_squared_one():
 
 
 @pytest.mark.parametrize(
-    "loss, level, dark, squares", [("balanced", 1, 0.2, 0.0), ("balanced", 3, 0.5, 0.4), ("displayed", 1, 0.5, 0.0)]
+    "loss, level, dark, squares",
+    [("balanced", 1, 0.2, 0.0), ("balanced", 3, 0.5, 0.4), ("balanced", 7, 0.5, 0.6), ("displayed", 1, 0.5, 0.0)],
 )
 def test_squares_count_from_afar_and_glow_near_by(loss, level, dark, squares):
     assert balance_of(loss, level) == pytest.approx((dark, squares))

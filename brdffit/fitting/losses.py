@@ -16,9 +16,10 @@
   (benchmarks/seen.py).
 
 - BALANCED: from level 2 on (DISPLAYED + w SQUARED) / (1 + w), each a share of its own norm of the target, so that it
-  is DISPLAYED with a floor under its weight: w = 0.2 a level. From afar a lobe stands for many, misses part of them
-  whatever it is, and DISPLAYED alone gives highlights away for the dark beside them. Near by, at levels 0 and 1, a lobe
-  stands for few, and what shows is its glow in the dark: DISPLAYED with 0.2 instead of 0.5 of the mean light in k'.
+  is DISPLAYED with a floor under its weight: w = 0.2 a level, at most 0.6. From afar a lobe stands for many, misses
+  part of them whatever it is, and DISPLAYED alone gives highlights away for the dark beside them. Near by, at levels 0
+  and 1, a lobe stands for few, and what shows is its glow in the dark: DISPLAYED with 0.2 instead of 0.5 of the mean
+  light in k'.
 
 The knee is 3% of the target's highest value on the nodes: below it RELATIVE counts errors absolutely, and L1 squared.
 An energy constraint needs no loss of its own: lobes are normalised, so a scale held at the filtered colour keeps the
@@ -54,8 +55,8 @@ _BOTH_COSINES = 4.0 / 9.0
 # ``set_diffuse_error``.
 _DIFFUSE_ERROR = 2.0 / math.pi**2
 # BALANCED: the last level near by, the share of the mean light there, the weight of the squared error for each level
-# beyond.
-_NEAR, _DARK_NEAR, _SQUARES_A_LEVEL = 1, 0.2, 0.2
+# beyond, and the most of it.
+_NEAR, _DARK_NEAR, _SQUARES_A_LEVEL, _MOST_SQUARES = 1, 0.2, 0.2, 0.6
 
 
 def loss_of(name: str, lights: str) -> str:
@@ -74,7 +75,8 @@ def balance_of(loss: str, mip_level: int) -> tuple[float, float]:
     losses other than BALANCED)."""
     if loss != "balanced":
         return DARK, 0.0
-    return _DARK_NEAR if mip_level <= _NEAR else DARK, _SQUARES_A_LEVEL * max(mip_level - _NEAR, 0)
+    squares = min(_SQUARES_A_LEVEL * max(mip_level - _NEAR, 0), _MOST_SQUARES)
+    return _DARK_NEAR if mip_level <= _NEAR else DARK, squares
 
 
 @kernel
