@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from test_fitting import mirrored, quarter_turn
+from test_fitting import mirrored, quarter_turn, surface
 
 from brdffit.doctor import MISTAKEN_BY, MISTAKEN_TIMES
 from brdffit.fitting.options import FitOptions
@@ -97,3 +97,20 @@ def test_a_turned_or_mirrored_texture_costs_the_same(case, model):
         sample = sample_of(case, model, moved)
         other = errors(sample, [sample.fit()[0]], DENSE)[0][0].mean()
         assert case.unread or abs(one - other) <= 2 * case.slack * max(one, other) + UNSEEN, (one, other)
+
+
+@pytest.mark.parametrize("width, spread", [(0.03, 0.08), (0.03, 0.15)])
+def test_a_search_on_smooth_bumps_of_a_mirror_ends_where_the_best_of_all_starts_does(width, spread):
+    """The first step must not lead beyond the best lobe, to where the smallest light shows no difference: one in 16
+    of these texels was more than this behind."""
+    rng, frequency = np.random.default_rng(0), np.fft.fftfreq(64)
+    smooth = np.exp(-0.5 * (frequency[:, None] ** 2 + frequency**2) / width**2)
+    slopes = np.fft.ifft2(np.fft.fft2(rng.normal(size=(2, 64, 64))) * smooth).real
+    slopes *= spread / slopes.std(axis=(1, 2), keepdims=True)
+    base = surface((64, 64), slopes=np.moveaxis(slopes, 0, -1), alpha=0.0026)
+    sample = sample_level(base, 2, FitOptions())
+    rules, search = sample.settings()
+    found, _ = sample.fit()
+    best, _ = sample.fit(settings=(rules, search._replace(poor=0.0)))
+    one, other = errors(sample, [found, best], Rule(512, (16, 32)))[0]
+    assert (one > other + 0.02).mean() <= 0.02
