@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from brdffit._jit import kernel, numba_type, specialise, types
 from brdffit.fitting.bfgs import make_space
-from brdffit.fitting.chain import Chain, footprints_of
+from brdffit.fitting.chain import Chain, compile_footprints, footprints_of
 from brdffit.fitting.scoring import EVALUATIONS, FILTERED, REPORT, RESIDUAL
 from brdffit.fitting.search import Scratch, Search
 from brdffit.fitting.shortcuts import WORK
@@ -210,7 +210,7 @@ def _compile(dispatcher: Any, arguments: tuple[Any, ...]) -> None:
 
 @cache
 def fitting_kernel(float_width: int) -> Any:
-    """``fit_rows`` for float32 or float64 sums.
+    """``fit_rows`` for float32 or float64 sums, and what gathers its footprints.
 
     It takes the models' kernels as arguments of function type, so one compilation serves all models and can be cached
     on disk.
@@ -228,6 +228,7 @@ def fitting_kernel(float_width: int) -> Any:
     ]
     _compile(loop, (*data, *functions))
     loop.disable_compile()
+    compile_footprints()
     return loop
 
 

@@ -6,13 +6,14 @@ sides that divide those of the level before.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from brdffit.halfangle.apparent_lobe import Base, Strata
-from brdffit.halfangle.footprints import Footprints, gather_footprints, joined, merge_footprints
+from brdffit.halfangle.apparent_lobe import Base, Strata, example_base, example_strata
+from brdffit.halfangle.footprints import Footprints, gather_footprints, joined, merge_footprints, no_footprints
 from brdffit.halfangle.merging import make_cells
 from brdffit.halfangle.quadrature import LOBE_COLUMNS
 
@@ -59,6 +60,14 @@ def first_of_chain(sizes: list[tuple[int, int]], mip_level: int) -> int | None:
 def divides(size: tuple[int, int], finer: tuple[int, int]) -> bool:
     """Whether the pixels of a level are unions of those of a finer level."""
     return finer[0] % size[0] == 0 and finer[1] % size[1] == 0
+
+
+@cache
+def compile_footprints() -> None:
+    """Compile the kernels of a chain or load them from the cache, before threads start or a fit is timed."""
+    none, lobes, cells = np.zeros(0, np.int64), np.zeros((1, LOBE_COLUMNS)), make_cells(1)
+    gather_footprints(example_base(), example_strata(), 0.0, 0.0, 1, none, none, lobes, cells)
+    merge_footprints(no_footprints(), none.reshape(0, 1), 0.0, 0.0, 1, lobes, cells)
 
 
 def footprints_of(base: Base, chain: Chain, step: float, cell: float, columns: NDArray, rows: NDArray) -> Footprints:
