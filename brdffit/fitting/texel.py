@@ -198,7 +198,7 @@ def fit_texel(
     while True:
         # A texel that needs more nodes often has separate peaks: the highest gets a search of its own, once.
         follow = STARTS if mending else 2 if tier > search.usual else 1
-        if checked or warm and not mending and tier > search.usual + 1:
+        if warm and (checked or not mending and tier > search.usual + 1):
             follow = 0
         status = fit_by_rule(
             base, lobes_isotropic, some, scratch, rules[tier], search, follow, warm,
@@ -213,19 +213,19 @@ def fit_texel(
                 scratch.starts[LEAN, p] = theta[p]
         # More nodes refine what was found, but a lobe that hides from the nodes is none to start from.
         warm = sized and not hidden
-        if checked:
-            break
-        if hidden and guards < GUARDS:
-            pass
-        elif report[RESIDUAL] > BESIDE and not mending:
-            # The lobe misses its target: try all starts and the target's own peaks, with more nodes.
-            mending = True
-        elif not doubtful or tier == len(rules) - 1:
-            # Nodes are few where a long lobe shines and its target is dark: look again, with nodes of the lobe's own.
-            checked = sized and guards < GUARDS and is_suspect(theta, report[RESIDUAL], lights[0, BASE_BLUR])
-            if not checked:
+        missed = hidden and guards < GUARDS
+        if not missed:
+            if checked:
                 break
-        if guards < GUARDS and (hidden or checked):
+            if report[RESIDUAL] > BESIDE and not mending:
+                # The lobe misses its target: try all starts and the target's own peaks, with more nodes.
+                mending = True
+            elif not doubtful or tier == len(rules) - 1:
+                # Nodes are few where a long lobe shines and its target is dark: look again, with nodes of its own.
+                checked = sized and guards < GUARDS and is_suspect(theta, report[RESIDUAL], lights[0, BASE_BLUR])
+                if not checked:
+                    break
+        if missed or checked:
             for s in range(lights.shape[0]):
                 own, many = scratch.lobes[s], scratch.counts[s]
                 if lobes_isotropic:
