@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from brdffit.assessment import assess, averaged_levels
 from brdffit.errors import InputError
 from brdffit.export import writing as export
-from brdffit.fitting.status import FALLBACK, POOR
+from brdffit.fitting.status import doubts
 from brdffit.machine import free_memory
 from brdffit.methods import Baked, Material, Method, Pyramid, get_method, with_options
 from brdffit.options import BakeOptions
@@ -71,7 +71,8 @@ def reduce_set(large: LargeSet, method: Method, options: BakeOptions, progress: 
     asked = with_options(options, {"levels": level + 1, "keep_level_0": False} | only)
     bands: list[dict[str, NDArray]] = []
     shown: list[dict[str, NDArray]] = []
-    failed = poor = done = 0
+    statuses: list[NDArray] = []
+    done = 0
     total = math.prod(large.size)
     for first, last in large.bands:
         base, before = large.lobes(first << level, last << level)
@@ -95,15 +96,10 @@ def reduce_set(large: LargeSet, method: Method, options: BakeOptions, progress: 
             seen = slice(before, before + min(last << level, side) - above)
             shown.append({name: array[seen, :side].copy() for name, array in base.arrays().items()})
         if found.status is not None:
-            failed += int((found.status[cut] == FALLBACK).sum())
-            poor += int((found.status[cut] == POOR).sum())
+            statuses.append(found.status[cut].copy())
         done += (last - first) * large.size[1]
     lobes = found.svbrdf.replace(**_joined(bands), wrap=base.wrap, height=None)
-    notes = [f"The search failed for {failed} texels; they hold their closed-form start."] if failed else []
-    notes += (
-        [f"No single lobe stands for {poor} texels: more than half of what they reflect is missed."] if poor else []
-    )
-    return Reduced(lobes, notes, base.replace(**_joined(shown)))
+    return Reduced(lobes, doubts(statuses), base.replace(**_joined(shown)))
 
 
 def _joined(bands: list[dict[str, NDArray]]) -> dict[str, NDArray]:

@@ -15,7 +15,7 @@
   x^-1.1 below the mean and as x^-2.9 far above it; the power 1.5 and half of the mean approximate both
   (benchmarks/seen.py).
 
-- BALANCED: from level 2 on (DISPLAYED + w SQUARED) / (1 + w), each a share of its own norm of the target, so that it
+- BALANCED: from level 2 on (DISPLAYED + w L2) / (1 + w), each a share of its own norm of the target, so that it
   is DISPLAYED with a floor under its weight: w = 0.2 a level, at most 0.6. From afar a lobe stands for many, misses
   part of them whatever it is, and DISPLAYED alone gives highlights away for the dark beside them. Near by, at levels 0
   and 1, a lobe stands for few, and what shows is its glow in the dark: DISPLAYED with 0.2 instead of 0.5 of the mean

@@ -33,7 +33,7 @@ from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.refine import refine_pyramid
 from brdffit.fitting.rules import continued_by, level_rules
 from brdffit.fitting.search import Search
-from brdffit.fitting.status import FALLBACK, KEPT, NOT_REACHED, POOR
+from brdffit.fitting.status import KEPT, NOT_REACHED, doubts
 from brdffit.footprint import PixelFilter, filter_channels, get_pixel_filter, iter_pyramid
 from brdffit.halfangle.apparent_lobe import Base, base_of
 from brdffit.halfangle.density import DENSITY_EXPONENTS
@@ -141,20 +141,8 @@ class NonlinearFit(LobeMethod):
         if len(searched) < len(sizes) - authored:
             levels = f"level {fitted[0]}" if len(fitted) == 1 else f"levels {fitted[0]} to {fitted[-1]}"
             pyramid.notes.append(f"Pixels read {levels} alone; the others are averaged, not fitted.")
-        pyramid.notes += _doubts(pyramid)
+        pyramid.notes += doubts([level.status for level in pyramid.levels if level.status is not None])
         return pyramid
-
-
-def _doubts(pyramid: Pyramid) -> list[str]:
-    """Sentences on texels whose lobes are not what was asked for."""
-    notes = []
-    failed = sum(int((level.status == FALLBACK).sum()) for level in pyramid.levels if level.status is not None)
-    if failed:
-        notes.append(f"The search failed for {failed} texels; they hold their closed-form start.")
-    poor = sum(int((level.status == POOR).sum()) for level in pyramid.levels if level.status is not None)
-    if poor:
-        notes.append(f"No single lobe stands for {poor} texels: more than half of what they reflect is missed.")
-    return notes
 
 
 def _averages(

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from numpy.typing import NDArray
+
 KEPT = 0
 FLAT = 1
 CONVERGED = 2
@@ -39,3 +43,14 @@ STATUSES: tuple[tuple[str, str], ...] = (
 )
 
 STATUS_NAMES = tuple(name for name, _ in STATUSES)
+
+
+def doubts(statuses: Sequence[NDArray]) -> list[str]:
+    """Sentences on texels whose lobes are not what was asked for; ``statuses``: arrays of any shape, one a level."""
+    failed, poor = (sum(int((each == status).sum()) for each in statuses) for status in (FALLBACK, POOR))
+    notes = []
+    if failed:
+        notes.append(f"The search failed for {failed} texels; they hold their closed-form start.")
+    if poor:
+        notes.append(f"No single lobe stands for {poor} texels: more than half of what they reflect is missed.")
+    return notes
