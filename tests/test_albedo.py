@@ -56,6 +56,26 @@ def test_a_mirror_sends_back_the_squared_cosine():
         assert albedo_at(0.0, normal[2]) == pytest.approx(normal[2] ** 2, abs=0.005)
 
 
+@pytest.mark.parametrize("degrees", [80.0, 90.0, 100.0, 120.0])
+def test_a_viewer_below_the_horizon_sees_a_bounded_lobe(degrees):
+    """(n.v + sqrt(n.v^2 + S^2)) / S at most, less what goes below the horizon of n; and nothing jumps at n.v = 0."""
+    alpha, n, rng = 0.5, np.array([0.0, 0.0, 1.0]), np.random.default_rng(4)
+    light = rng.normal(size=(400_000, 3))
+    light[:, 2] = np.abs(light[:, 2])
+    light /= np.linalg.norm(light, axis=1, keepdims=True)
+    many = (len(light), 1)
+
+    def reflected(angle):
+        lobe = np.tile(n, many), np.tile([alpha**2, alpha**2, 0.0], many), np.ones_like(light), np.zeros_like(light)
+        return 2.0 * math.pi * float(brdf(*lobe, np.tile(leaning(angle), many), light)[:, 0].mean())
+
+    down, shadow = math.cos(math.radians(degrees)), alpha * math.sin(math.radians(degrees))
+    bound = 1.0 if down > 0.0 else (down + math.hypot(down, shadow)) / shadow
+    found = reflected(degrees)
+    assert 0.55 * bound < found <= 1.01 * bound
+    assert reflected(degrees + 0.01) == pytest.approx(found, rel=0.002)
+
+
 @pytest.mark.parametrize("square, slope", [(4e-6, 0.0), (0.09, 0.4), (0.5, 1.0)])
 def test_one_lobe_alone_needs_no_correction(square, slope):
     lobes = np.zeros((2, LOBE_COLUMNS))

@@ -2,9 +2,13 @@
 
     f (n.l) = [F D(h) G2 / (4 n.l n.v) + diffuse (1 - specular)(1 - w(n.l))(1 - w(n.v)) / pi] n.l
 
-with F = specular + (1 - specular) w(v.h) faded out where specular is below 2%, w Schlick's weight; 0 where light or
-viewer is below the horizon of n. With (1 - w(n.l))(1 - w(n.v)) the specular and the diffuse reflection of a smooth
-surface add up to at most 1 (Shirley et al. 1997); with 1 - F(v.h), white plastic would reflect 115% at 75 degrees.
+with F = specular + (1 - specular) w(v.h) faded out where specular is below 2%, w Schlick's weight; 0 where the light
+is below the horizon of n. A viewer below it counts as one on it, n.v = 0, as engines clamp it: what a slanted view
+shows in place of a bump that faces away is another bump, never a hole. Reflected light stays bounded: at n.v <= 0, G2
+/ (4 n.l n.v) is at most 1 / (2 n.l S) with S^2 = v' Sigma v, so a lobe of colour 1 reflects at most (2 / S) int D(h)
+(v.h)+ dh = (n.v + sqrt(n.v^2 + S^2)) / S <= 1, and falls smoothly as n turns away. With (1 - w(n.l))(1 - w(n.v)) the
+specular and the diffuse reflection of a smooth surface add up to at most 1 (Shirley et al. 1997); with 1 - F(v.h),
+white plastic would reflect 115% at 75 degrees.
 
 The renderer's loops inline ``reflect``, for any lobe and any choice of terms; ``brdf``, ``draw`` and ``drawn_density``
 do the same for arrays of lobes, for appearances that are rendered in numpy. They take and return arrays of n rows:
@@ -59,7 +63,7 @@ def reflect(x, y, z, i_xx, i_yy, i_xy, t_xx, t_yy, t_xy, amplitude, shape, h_x, 
     (pi sqrt(det Sigma)). Vectors are transformed to the frame of n, R'w = (w_xy - k n_xy, n.w) with
     k = (w_xy.n_xy) / (1 + n_z) + w_z. G2 / (4 n.l n.v) is the height-correlated Smith term of GGX,
     1 / (2 (n.l sqrt(n.v^2 + v' Sigma v) + n.v sqrt(n.l^2 + l' Sigma l))), for every lobe: the differences of masking
-    between lobes do not show in pictures. With MASKING or COSINE both results are 0 where light or viewer is below the
+    between lobes do not show in pictures. With MASKING or COSINE both results are 0 where the light is below the
     horizon of n.
     """
     per = real(1.0) / max(real(1.0) + z, real(1e-6))
@@ -69,7 +73,7 @@ def reflect(x, y, z, i_xx, i_yy, i_xy, t_xx, t_yy, t_xy, amplitude, shape, h_x, 
     if COSINE:
         cosine = n_l
     if MASKING or COSINE:
-        cosine = cosine if min(n_l, n_v) > real(0.0) else real(0.0)
+        cosine = cosine if n_l > real(0.0) else real(0.0)
     lobe = real(0.0)
     if LOBE:
         along = h_x * x + h_y * y
@@ -77,9 +81,8 @@ def reflect(x, y, z, i_xx, i_yy, i_xy, t_xx, t_yy, t_xy, amplitude, shape, h_x, 
         a, b, c = h_x - k * x, h_y - k * y, along + h_z * z
         q = max(a * (i_xx * a + real(2.0) * i_xy * b) + i_yy * b * b, real(0.0))
         lobe = amplitude * cosine * profile(q, min(c * c, real(1.0)), shape)
-        if not (MASKING or COSINE):
-            # Without these terms nothing else ends a lobe at its own horizon.
-            lobe = lobe if c > real(0.0) else real(0.0)
+        # A lobe ends at its own horizon.
+        lobe = lobe if c > real(0.0) else real(0.0)
         if MASKING:
             k = (v_x * x + v_y * y) * per + v_z
             a, b = v_x - k * x, v_y - k * y

@@ -152,8 +152,6 @@ def shade_matt(block, count, view, frame, harmonics, which, sums):
                 light -= rim[i] * harmonic(e_w, k, w_x, w_y, w_z)
                 light *= real(1.0) - rim[i] * fifth_power(n_v)
             light = max(light, real(0.0))
-            if MASKING or COSINE:
-                light = light if n_v > real(0.0) else real(0.0)
             total += light * colour[i]
         sums[k] += total
 

@@ -28,7 +28,7 @@ class Terms:
 
     @property
     def clips(self) -> bool:
-        """Whether a texel is dark when light or viewer is below its own horizon: with masking or cosine."""
+        """Whether a texel is dark when the light is below its own horizon: with masking or cosine."""
         return self.masking or self.cosine
 
     @property

@@ -19,6 +19,7 @@ float stretch(vec3 d, vec3 S) {
 }
 
 float distribution(vec3 h, vec3 S) {
+  if (h.z <= 0.) return 0.;
   float det = max(S.x * S.y - S.z * S.z, max(1e-12 * S.x * S.y, 1e-30));
   float q = max((h.x * (S.y * h.x - 2. * S.z * h.y) + S.x * h.y * h.y) / det, 0.) + h.z * h.z;
   return 1. / (PI * sqrt(det) * q * q);
@@ -36,7 +37,7 @@ float grazing(vec3 specular) {
 
 vec3 brdf(vec3 l, vec3 v, Texel t) {
   vec3 L = intoFrame(l, t.normal), V = intoFrame(v, t.normal);
-  if (L.z <= 0. || V.z <= 0.) return vec3(0);
+  if (L.z <= 0.) return vec3(0);
   vec3 H = normalize(L + V);
   float nl = max(L.z, 1e-4), nv = max(V.z, 1e-4);
   float visible = .5 / (nl * sqrt(nv * nv + stretch(V, t.S)) + nv * sqrt(nl * nl + stretch(L, t.S)));

@@ -145,12 +145,13 @@ vec3 visibleNormal(vec3 V, vec3 S) {
 // One direction of the visible lobe, one of the cosine.
 vec3 underSky(Texel x, vec3 v, mat3 T) {
   vec3 V = intoFrame(v, x.normal), sum = vec3(0);
-  if (V.z < 1e-3) return sum;
   float edge = grazing(x.specular);
   vec3 h = visibleNormal(V, x.S), L = reflect(-V, h), l = outOfFrame(L, x.normal);
   if (L.z > 0. && l.z > 0.) {
-    float longL = sqrt(L.z * L.z + stretch(L, x.S)), longV = sqrt(V.z * V.z + stretch(V, x.S));
-    float unmasked = L.z * (V.z + longV) / (L.z * longV + V.z * longL), fresnel = schlick(dot(V, h)) * edge;
+    // A viewer below the horizon counts as one on it, but its visible area shrinks.
+    float ofV = stretch(V, x.S), area = V.z + sqrt(V.z * V.z + ofV), nv = max(V.z, 0.);
+    float longL = sqrt(L.z * L.z + stretch(L, x.S)), longV = sqrt(nv * nv + ofV);
+    float unmasked = L.z * area / (L.z * longV + nv * longL), fresnel = schlick(dot(V, h)) * edge;
     sum += (x.specular * (1. - fresnel) + fresnel) * unmasked * sky(T * l);
   }
   float z = sqrt(random()), angle = 2. * PI * random();
