@@ -29,6 +29,11 @@ def test_a_view_is_held_against_filters_and_averages_apart():
     assert reached["first"] and reached["FLIP"] and not reached["FLIP of averages"]
     reached = verdicts(view(lean=figures(snr=22.0)), "bfgs")
     assert not reached["first"] and reached["1 dB behind"]
+    assert not reached["or level"] and not reached["and in FLIP"]
+    reached = verdicts(view(lean=figures(snr=22.0, flip=0.05)), "bfgs")
+    assert reached["1 dB behind"] and reached["and in FLIP"]
+    reached = verdicts(view(naive=figures(snr=20.03)), "bfgs")
+    assert reached["or level"] and not reached["first"]
     # Nobody sees what is beyond 40 dB.
     reached = verdicts(view(bfgs=figures(snr=41.0), lean=figures(snr=55.0)), "bfgs")
     assert reached["first"] and not reached["1 dB behind"]
