@@ -70,7 +70,8 @@ def keep_colour(theta, search, red, green, blue, report):
 
 @part
 def prefer_average(scratch, table, search, alike, moments_kernel, values_kernel, log_normalisation):
-    """Replace the lobe that was found by the averaged one, or by one between, if the lights hardly distinguish them.
+    """Replace the lobe that was found by the averaged one, or by one between, if the lights hardly distinguish them;
+    returns whether.
 
     Lobes much sharper than the smallest light differ only in their tails, which are in proportion to alpha^2: too wide
     a lobe glows where the base is dark. ``alike``: 1 for mirrors, falling to 0 where lights show a lobe's width.
@@ -96,4 +97,5 @@ def prefer_average(scratch, table, search, alike, moments_kernel, values_kernel,
                 # What the lights cannot tell apart gives no reason for another scale: a mirror stays as bright.
                 r, g, b = scratch.report[FILTERED], scratch.report[FILTERED + 1], scratch.report[FILTERED + 2]
                 keep_colour(theta, search, r, g, b, scratch.report)
-            break
+            return True
+    return False

@@ -238,8 +238,8 @@ def _example(float_width: int) -> tuple[Any, ...]:
     search = Search(
         free=0, scale=FREE, scale_low=0.0, scale_high=0.0, energy=0.0, exponent=3, step=0.0, tolerance=0.0,
         iterations=0, log_low=0.0, log_high=0.0, shape_low=0.0, shape_high=0.0, same_model=True, trusted=0.0,
-        negligible=0.0, crowd=0, floor=0.0, allowed=0.0, loss=0, dark=0.0, squares=0.0, sky=0.0, poor=0.0,
-        rescaled=False, rendered=False, usual=0, cell=0.0, response=NO_RESPONSE,
+        negligible=0.0, crowd=0, floor=0.0, allowed=0.0, loss=0, dark=0.0, squares=0.0, within=0.0, sky=0.0,
+        poor=0.0, rescaled=False, rendered=False, usual=0, cell=0.0, response=NO_RESPONSE,
     )  # fmt: skip
     indices = np.zeros(1, np.int64)
     place = make_workplace(level, float_width)

@@ -28,6 +28,7 @@ from brdffit.fitting.bfgs import FREE_ANISOTROPY, FREE_NORMAL, FREE_SHAPE
 from brdffit.fitting.chain import Chain, footprints_of, unions
 from brdffit.fitting.effects import UNBOUNDED, Seen, complete, keep_energy, kernels_of, reached, seen_by
 from brdffit.fitting.losses import DARK, DISPLAYED, LOSS_CODES, balance_of, loss_of
+from brdffit.fitting.near_lean import within_of
 from brdffit.fitting.options import SPECULARS, FitOptions
 from brdffit.fitting.presets import Quality, quality_of
 from brdffit.fitting.refine import refine_pyramid
@@ -207,6 +208,7 @@ def search_settings(options: FitOptions, quality: Quality, base: Base, source: M
         loss=loss,
         dark=DARK,
         squares=0.0,
+        within=0.0,
         sky=0.0 if point else _SKY,
         poor=_POOR_DISPLAYED if loss == DISPLAYED else _POOR,
         rescaled=loss == DISPLAYED,
@@ -230,8 +232,9 @@ def level_search(
     every texel pays for these. The mean error is taken from random texels fitted without shortcuts, which does not pay
     on a small level; it counts as that of ``PERFECT_DB`` at least.
     """
-    dark, squares = balance_of(loss_of(options.loss, options.lights), mip_level)
-    search = search._replace(dark=dark, squares=squares)
+    loss = loss_of(options.loss, options.lights)
+    dark, squares = balance_of(loss, mip_level)
+    search = search._replace(dark=dark, squares=squares, within=within_of(loss, mip_level))
     if options.tolerance is None:
         return search
     share = 10.0 ** (0.1 * options.tolerance) - 1.0

@@ -84,6 +84,8 @@ class Search(NamedTuple):
         allowed: relative squared error that the closed form may add.
         loss: a code of brdffit.fitting.losses.
         dark, squares: share of the mean light in DISPLAYED's denominator, weight of the squared error beside it.
+        within: factor of the squared error of LEAN's lobe that the fit's may have, 0 for any
+            (brdffit.fitting.near_lean).
         sky: weight of an even sky in the fit of the diffuse colour; the rest is point lights.
         poor: relative squared error above which further starts are tried.
         rescaled: whether the first step scales the first inverse Hessian.
@@ -115,6 +117,7 @@ class Search(NamedTuple):
     loss: int
     dark: float
     squares: float
+    within: float
     sky: float
     poor: float
     rescaled: bool

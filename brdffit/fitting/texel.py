@@ -20,6 +20,7 @@ from brdffit.fitting.losses import (
     weigh_as_seen,
     weigh_relatively,
 )
+from brdffit.fitting.near_lean import stay_near_lean
 from brdffit.fitting.scoring import (
     ALBEDO,
     BLUE_SCALE,
@@ -245,8 +246,12 @@ def fit_texel(
         fall_back(scratch, rules[tier], search, values_kernel, log_normalisation)
     elif report[RESIDUAL] > BESIDE:
         status = POOR
-    elif alike > 0.0 and some:
-        prefer_average(scratch, rules[tier], search, alike, moments_kernel, values_kernel, log_normalisation)
+    elif some and status != FALLBACK:
+        averaged = alike > 0.0 and prefer_average(
+            scratch, rules[tier], search, alike, moments_kernel, values_kernel, log_normalisation
+        )
+        if search.within > 0.0 and not averaged:
+            stay_near_lean(scratch, rules[tier], search, max(alike, 0.0), values_kernel, log_normalisation)
     if not some:
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         return NO_SPECULAR

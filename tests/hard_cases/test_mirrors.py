@@ -110,7 +110,9 @@ class RandomMirrors:
         self.wide, self.diffuse = rng.choice([0.0, 0.0, 0.1, 0.3]), rng.choice([0.0, 0.1])
         self.base = mirrors(2**level * 8, rng.integers(2, 6), self.spread, self.wide, seed, self.diffuse)
         self.sample = LevelSample(self.base, level, *random_texels((8, 8), TEXELS, seed), threads=1)
-        _, self.output = self.sample.fit()
+        rules, settings = self.sample.settings()
+        # What the search finds, not what is moved towards LEAN's lobe afterwards (brdffit.fitting.near_lean).
+        _, self.output = self.sample.fit(settings=(rules, settings._replace(within=0.0)))
         self.found = [Lobe(*each) for each in zip(self.output.normal, self.output.log_roughness, strict=True)]
 
     @property
