@@ -76,3 +76,24 @@ def test_scattered_samples_see_all_normals_and_stand_for_few(level):
     _, normals, _, _ = box_footprint(base, sample.size, 0, 0, samples=8 * 2**level)
     spread = (weights @ (found[:, :2] - weights @ found[:, :2]) ** 2).sum()
     assert spread == pytest.approx(normals[:, :2].var(axis=0).sum(), rel=3 * (2 / count) ** 0.5)
+
+
+def test_parts_of_a_wide_turn_turn_alike():
+    """Mirrors at 56 degrees to either side: between texels the normal turns three times as fast in the middle as at the
+    ends. No part turns by more than ``step`` widths, and the parts together have the normals of the map."""
+    slopes = np.zeros((8, 8, 2))
+    slopes[:, ::2, 0], slopes[:, 1::2, 0] = 1.5, -1.5
+    base = surface((8, 8), slopes=slopes, alpha=0.004)
+    sample = LevelSample(base, 1, np.array([1]), np.array([1]), FitOptions())
+    rules, search = sample.settings()
+    scratch, _ = make_workplace(rules)
+    count, _ = gather_lobes(sample.base, rules.strata, search.step, 1, 1, scratch.lobes[0], scratch.moment)
+    lobes = scratch.lobes[0][:count]
+    weights = lobes[:, MIXTURE]
+    assert weights.sum() == pytest.approx(1.0)
+    widest = search.step**2 / 6 * (lobes[:, ALPHA_SQUARED] + rules.strata.light)
+    assert (lobes[:, SPREAD] + lobes[:, SPREAD + 1] <= 1.02 * widest).all()
+    _, normals, _, _ = box_footprint(base, sample.size, 1, 1, samples=400)
+    for bound in (0.1, 0.3, 0.6):
+        share = (np.abs(normals[:, 0]) < bound).mean()
+        assert weights[np.abs(lobes[:, 0]) < bound].sum() == pytest.approx(share, abs=0.02)

@@ -14,6 +14,7 @@ from brdffit.fitting.batch import fit_texels, make_output, model_kernels
 from brdffit.fitting.method import search_settings
 from brdffit.fitting.presets import get_quality
 from brdffit.fitting.rules import level_rules
+from brdffit.fitting.status import POOR
 from brdffit.footprint import get_pixel_filter
 from brdffit.halfangle.apparent_lobe import base_of
 from brdffit.halfangle.lights import sizes_of
@@ -254,7 +255,10 @@ def test_the_error_on_a_screen_is_that_of_the_default_fit(glazed, data):
     slopes = -output.normal[:, :2] / output.normal[:, 2:]
     theta = np.concatenate([slopes, output.log_roughness], axis=1).astype(np.float64)
     found = shown_errors(data.shown, index, theta)
-    assert found.error.mean() == pytest.approx(output.residual.mean(), rel=0.1)
+    # A poor lobe shines where these few nodes do not see it.
+    good = output.status != POOR
+    assert good.mean() > 0.9
+    assert found.error[good].mean() == pytest.approx(output.residual[good].mean(), rel=0.1)
     scale = output.specular.sum(axis=1) / 1.5  # of a base whose colour is 0.5
     assert np.abs(found.scale - scale).mean() < 0.02  # the noise of 48 nodes
     _, closed = m.features_of(data.point.moments)

@@ -16,7 +16,7 @@ from lobe_oracle import (
 
 from brdffit.fitting.batch import model_kernels
 from brdffit.fitting.scoring import coverage
-from brdffit.halfangle.apparent_lobe import add_defensive_lobe, base_of, normalise_mixture, normalise_shapes
+from brdffit.halfangle.apparent_lobe import base_of, normalise_mixture
 from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, LEAN, STARTS, closed_forms
 from brdffit.halfangle.measure import measure_lobes
 from brdffit.halfangle.quadrature import (
@@ -30,8 +30,10 @@ from brdffit.halfangle.quadrature import (
     SPECULAR,
     TENSOR,
     WEIGHT,
+    add_defensive_lobe,
     frame_lobes,
     lattice,
+    normalise_shapes,
     place_nodes,
     weigh_nodes,
 )

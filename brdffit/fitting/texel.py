@@ -54,10 +54,8 @@ from brdffit.fitting.status import (
 )
 from brdffit.halfangle.albedo import albedo_of_lobes
 from brdffit.halfangle.apparent_lobe import (
-    add_defensive_lobe,
     gather_lobes,
     normalise_mixture,
-    normalise_shapes,
 )
 from brdffit.halfangle.closed_forms import (
     DEFENSIVE_SHARE,
@@ -79,8 +77,10 @@ from brdffit.halfangle.objective import FREE, HELD, HOLDS, PARAMETERS
 from brdffit.halfangle.quadrature import (
     SHAPE,
     WIDE_AXES,
+    add_defensive_lobe,
     add_guard,
     frame_lobes,
+    normalise_shapes,
     place_nodes,
     weigh_nodes,
 )
@@ -98,7 +98,10 @@ _FEW_STRATA = 16
 # Log alpha^2 of the closed-form lobe above which a good part of the nodes that it draws lies below the horizon.
 _WIDE = math.log(0.25)
 # Residual and squared ratio of axes above which a lobe is looked at again with nodes of its own.
-_MISSED, _LONG = 0.1, 8.0
+_MISSED, _LONG = 0.05, 8.0
+# Change of an entry of the log tensor, or of the normal in widths of the lobe, above which a lobe may have left the
+# nodes with which it was looked at again.
+_MOVED = 0.15
 #: How often a texel may add nodes around a lobe that was found where there are none.
 GUARDS = 3
 
@@ -109,6 +112,18 @@ def is_suspect(theta, residual, light):
     smallest light shows it."""
     l1, l2, _, _ = eigen_log(theta[2], theta[3], theta[4])
     return residual > _MISSED and math.exp(l1) + light > _LONG * (math.exp(l2) + light)
+
+
+@inline
+def has_moved(theta, before, light):
+    """Whether a lobe has turned, grown or shifted so far that nodes of the lobe ``before`` (5,) may not show it."""
+    x, y, xx, yy, xy = before
+    change = max(max(abs(theta[2] - xx), abs(theta[3] - yy)), abs(theta[4] - xy))
+    shift = (theta[0] - x) ** 2 + (theta[1] - y) ** 2
+    # Slopes change by 1 / n_z^2 of the angle.
+    steep = 1.0 + theta[0] * theta[0] + theta[1] * theta[1]
+    wide = math.exp(max(theta[2], theta[3])) + light
+    return change > _MOVED or shift > _MOVED * _MOVED * wide * steep * steep
 
 
 @inline
@@ -196,6 +211,7 @@ def fit_texel(
     if not crowded and fitted_error(expected) <= spare:
         tier = 0
     guards, mending, warm, checked = 0, False, False, False
+    looked_at = (0.0, 0.0, 0.0, 0.0, 0.0)
     while True:
         # A texel that needs more nodes often has separate peaks: the highest gets a search of its own, once.
         follow = STARTS if mending else 2 if tier > search.usual else 1
@@ -217,8 +233,12 @@ def fit_texel(
         missed = hidden and guards < GUARDS
         if not missed:
             if checked:
-                break
-            if report[RESIDUAL] > BESIDE and not mending:
+                # A lobe that turned or grew may have left those nodes: once more, until it stays.
+                moved = has_moved(theta, looked_at, lights[0, BASE_BLUR])
+                again = moved or doubtful and tier < len(rules) - 1
+                if guards >= GUARDS or not again or not is_suspect(theta, report[RESIDUAL], lights[0, BASE_BLUR]):
+                    break
+            elif report[RESIDUAL] > BESIDE and not mending:
                 # The lobe misses its target: try all starts and the target's own peaks, with more nodes.
                 mending = True
             elif not doubtful or tier == len(rules) - 1:
@@ -227,17 +247,18 @@ def fit_texel(
                 if not checked:
                     break
         if missed or checked:
-            for s in range(lights.shape[0]):
-                own, many = scratch.lobes[s], scratch.counts[s]
-                if lobes_isotropic:
-                    widen_lobes(own, many, lobes_isotropic, base.widening)
-                add_guard(own, many, theta)
-                light_lobes(own, many, many + 1, False, lights[s, BASE_BLUR])
-                scratch.counts[s] += 1
+            looked_at = (theta[0], theta[1], theta[2], theta[3], theta[4])
+            if sized and guards == 0 and theta[0] * theta[0] + theta[1] * theta[1] > 1.0:
+                # The tail of a steep lobe is wide and dim, but half vectors near the texture's own normal weigh most.
+                for p in range(PARAMETERS):
+                    scratch.start[p] = 0.0
+                guard(base, lights, lobes_isotropic, scratch, scratch.start)
+                lobes_isotropic = False
+                guards += 1
+            guard(base, lights, lobes_isotropic, scratch, theta)
             lobes_isotropic = False
             guards += 1
-        if not checked:
-            tier = min(tier + 1, len(rules) - 1)
+        tier = min(tier + 1, len(rules) - 1)
     if status == CONVERGED and tier != search.usual:
         status = REFINED if tier > search.usual else FEW_NODES
     if abs(report[COVERAGE] - 1.0) > _LOST:
@@ -260,6 +281,18 @@ def fit_texel(
         report[RED_SCALE], report[GREEN_SCALE], report[BLUE_SCALE] = 0.0, 0.0, 0.0
         report[RESIDUAL] = 1.0
     return status
+
+
+@part
+def guard(base, lights, lobes_isotropic, scratch, theta):
+    """Let the lobe ``theta`` (6,) draw nodes of its own under each size of light; all tensors become full ones."""
+    for s in range(lights.shape[0]):
+        own, many = scratch.lobes[s], scratch.counts[s]
+        if lobes_isotropic:
+            widen_lobes(own, many, lobes_isotropic, base.widening)
+        add_guard(own, many, theta)
+        light_lobes(own, many, many + 1, False, lights[s, BASE_BLUR])
+        scratch.counts[s] += 1
 
 
 @part

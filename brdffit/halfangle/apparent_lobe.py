@@ -18,6 +18,9 @@ from brdffit.footprint import PixelFilter
 from brdffit.halfangle.frame import tensor_of_log
 from brdffit.halfangle.patch import (
     alike,
+    angle_across,
+    arc_of,
+    between,
     bilinear,
     bilinear_of,
     corners,
@@ -31,6 +34,7 @@ from brdffit.halfangle.patch import (
     most,
     narrowed,
     narrowest,
+    part_of_arc,
     reflecting,
     slopes_of,
     spread_tensor,
@@ -40,7 +44,7 @@ from brdffit.halfangle.patch import (
     weights_of,
     wrapped,
 )
-from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, MIXTURE, NORMALISATION, SHAPE, SPECULAR, SPREAD, TENSOR
+from brdffit.halfangle.quadrature import ALPHA_SQUARED, GAIN, MIXTURE, SHAPE, SPECULAR, SPREAD, TENSOR
 from brdffit.models import get_model
 from brdffit.roughness import perceptual_from_log_tensor
 from brdffit.svbrdf import Svbrdf
@@ -51,6 +55,9 @@ _COLOURED = 1.05
 DIFFUSE_MOMENT = 12
 # Most samples of a stratum along one axis: a mirror of alpha 0.002 beside a wall would need too many.
 _MOST_CUTS = 16
+# Squared turn of the normal from texel to texel above which it turns much faster in the middle of a patch than at its
+# ends (by a tenth), and most cuts there, under lights with a size.
+_WIDE_TURN, _MOST_WIDE_CUTS = 0.1, 48
 # A footprint that needs more samples than there is room for is gathered again with a longer step.
 _STEP_RETRIES, _STEP_GROWTH = 3, 1.1
 
@@ -246,11 +253,15 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
             # Along each axis: parts that are sampled, strata in a part, and samples that a part is cut into.
             apart_x, apart_y, span_x, span_y, cuts_x, cuts_y = many_x, many_y, 1, 1, 1, 1
             inverse = 0.0
-            spreads, scattered, near_x, near_y = False, False, 1.0, 1.0
+            spreads, scattered, wide, near_x, near_y = False, False, False, 1.0, 1.0
+            arc_x, arc_y = (0.0, 1.0), (0.0, 1.0)
+            x += strata.x[first_x] - 0.5 * size_x - x0
+            y += strata.y[first_y] - 0.5 * size_y - y0
             if step > 0.0 and not jittered:
                 inverse = 1.0 / (narrowest(tensors, roughness, base.isotropic) + strata.light)
                 # Squared turn across a stratum, in lobe widths.
                 turn_x, turn_y = edges(normals)
+                wide = strata.light > 0.0 and (turn_x > _WIDE_TURN or turn_y > _WIDE_TURN)
                 turn_x, turn_y = size_x * size_x * turn_x * inverse, size_y * size_y * turn_y * inverse
                 merge_x = many_x > 1 and many_x * many_x * turn_x < strata.merge * strata.merge
                 merge_y = many_y > 1 and many_y * many_y * turn_y < strata.merge * strata.merge
@@ -261,11 +272,19 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                         apart_y, span_y = 1, many_y
                 if strata.scatter and (turn_x > step * step or turn_y > step * step):
                     scattered = True
-                    near_x = min(step / math.sqrt(max(turn_x, 1e-12)), 1.0)
-                    near_y = min(step / math.sqrt(max(turn_y, 1e-12)), 1.0)
+                    near_x, near_y = step / math.sqrt(max(turn_x, 1e-12)), step / math.sqrt(max(turn_y, 1e-12))
                 elif turn_x > step * step or turn_y > step * step:
-                    cuts_x = max(min(math.ceil(math.sqrt(turn_x) / step), _MOST_CUTS), 1)
-                    cuts_y = max(min(math.ceil(math.sqrt(turn_y) / step), _MOST_CUTS), 1)
+                    if wide:
+                        x, y = inside(x, many_x * size_x), inside(y, many_y * size_y)
+                        middle_x, middle_y = x + 0.5 * many_x * size_x, y + 0.5 * many_y * size_y
+                        a, b, c, d = normals
+                        arc_x = arc_of(between(a, c, middle_y), between(b, d, middle_y))
+                        arc_y = arc_of(between(a, b, middle_x), between(c, d, middle_x))
+                        turn_x = max(turn_x, inverse * angle_across(arc_x, x, size_x, many_x) ** 2)
+                        turn_y = max(turn_y, inverse * angle_across(arc_y, y, size_y, many_y) ** 2)
+                    most_cuts = _MOST_WIDE_CUTS if wide else _MOST_CUTS
+                    cuts_x = max(min(math.ceil(math.sqrt(turn_x) / step), most_cuts), 1)
+                    cuts_y = max(min(math.ceil(math.sqrt(turn_y) / step), most_cuts), 1)
                     wanted += apart_x * apart_y * (cuts_x * cuts_y - 1)
                     while cuts_x * cuts_y > 1 and apart_x * apart_y * (cuts_x * cuts_y - 1) > room:
                         if cuts_x > cuts_y:
@@ -276,10 +295,9 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
             wanted += apart_x * apart_y
             room += many_x * many_y - apart_x * apart_y * cuts_x * cuts_y
             part_x, part_y = size_x * span_x / cuts_x, size_y * span_y / cuts_y
-            x += strata.x[first_x] - 0.5 * size_x - x0
-            y += strata.y[first_y] - 0.5 * size_y - y0
             if scattered or cuts_x * cuts_y > 1:
                 x, y = inside(x, many_x * size_x), inside(y, many_y * size_y)
+            wide = wide and cuts_x * cuts_y > 1
             whole_x = 0.0
             if span_x > 1:
                 whole_x, offset_x = weighed(strata.weight_x, first_x, many_x)
@@ -287,13 +305,19 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
             if span_y > 1:
                 y += offset_y * size_y
             share = 1.0 / (cuts_x * cuts_y)
-            own_x, own_y = near_x * part_x, near_y * part_y
+            own_x, own_y = part_x, part_y
             for k in range(apart_y * cuts_y):
                 weight_y = share * (whole_y if span_y > 1 else strata.weight_y[first_y + k // cuts_y])
                 fy = y + (k + 0.5) * part_y
+                if wide and cuts_y > 1:
+                    fy, own_y = part_of_arc(arc_y, y, size_y, k, cuts_y)
+                    weight_y *= own_y / part_y
                 for m in range(apart_x * cuts_x):
                     weight = weight_y * (whole_x if span_x > 1 else strata.weight_x[first_x + m // cuts_x])
                     fx = x + (m + 0.5) * part_x
+                    if wide and cuts_x > 1:
+                        fx, own_x = part_of_arc(arc_x, x, size_x, m, cuts_x)
+                        weight *= own_x / part_x
                     if scattered:
                         bits = hash_of(strata.seed, row * 65536 + column, first_y + k, first_x + m)
                         fx += part_x * ((bits & np.uint32(0xFFFF)) / 65536.0 - 0.5)
@@ -302,6 +326,8 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                     w = weights_of(fx, fy)
                     colour_x, colour_y = 0.0, 0.0
                     n, length = unit(bilinear(normals, w))
+                    if scattered:
+                        own_x, own_y = min(near_x * length, 1.0) * part_x, min(near_y * length, 1.0) * part_y
                     lobe[0], lobe[1], lobe[2] = n
                     if base.isotropic:
                         r = bilinear_of(roughness, w)
@@ -372,26 +398,3 @@ def normalise_mixture(lobes, count):
             abs(lobes[i, SPECULAR]) + abs(lobes[i, SPECULAR + 1]) + abs(lobes[i, SPECULAR + 2])
         ) / total
     return red, green, blue, some
-
-
-@kernel
-def add_defensive_lobe(lobes, count, share, m_x, m_y, a, b, c):
-    """Write a lobe without colour into ``lobes[count]`` and give it ``share`` of the mixture."""
-    for i in range(count):
-        lobes[i, MIXTURE] *= 1.0 - share
-    for k in range(lobes.shape[1]):
-        lobes[count, k] = 0.0
-    inverse = 1.0 / math.sqrt(1.0 + m_x * m_x + m_y * m_y)
-    lobes[count, 0], lobes[count, 1], lobes[count, 2] = -m_x * inverse, -m_y * inverse, inverse
-    lobes[count, TENSOR], lobes[count, TENSOR + 1], lobes[count, TENSOR + 2] = tensor_of_log(a, b, c)
-    lobes[count, MIXTURE] = share
-
-
-@kernel
-def normalise_shapes(lobes, count, has_shape, log_normalisation):
-    """NORMALISATION <- K(shape) times GAIN of every lobe, with one K for all where the base has no map of the shape."""
-    k = math.exp(log_normalisation(lobes[0, SHAPE])[0])
-    for i in range(count):
-        if has_shape:
-            k = math.exp(log_normalisation(lobes[i, SHAPE])[0])
-        lobes[i, NORMALISATION] = k * lobes[i, GAIN]

@@ -23,12 +23,10 @@ from brdffit.halfangle.apparent_lobe import (
     DIFFUSE_MOMENT,
     Base,
     Strata,
-    add_defensive_lobe,
     example_base,
     example_strata,
     gather_lobes,
     normalise_mixture,
-    normalise_shapes,
     strata,
 )
 from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, LEAN, STARTS, closed_forms, light_lobes, widen_lobes
@@ -40,8 +38,10 @@ from brdffit.halfangle.quadrature import (
     NODE_ROWS,
     RED,
     WEIGHT,
+    add_defensive_lobe,
     frame_lobes,
     lattice,
+    normalise_shapes,
     place_nodes,
     tabulate_type,
     weigh_nodes,

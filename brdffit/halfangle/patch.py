@@ -194,6 +194,47 @@ def slopes_of(four, fx, fy):
 
 
 @inline
+def arc_of(begin, end):
+    """(foot, reach) of the line of normals from ``begin`` to ``end``, before these are made unit.
+
+    The point begin + f (end - begin) is seen from the origin at the angle atan((f - foot) / reach) from where the line
+    is nearest; reach is its distance there, in units of the line.
+    """
+    x, y, z = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
+    square = max(x * x + y * y + z * z, 1e-6)
+    foot = -(begin[0] * x + begin[1] * y + begin[2] * z) / square
+    n_x, n_y, n_z = begin[0] + foot * x, begin[1] + foot * y, begin[2] + foot * z
+    return foot, max(math.sqrt((n_x * n_x + n_y * n_y + n_z * n_z) / square), 1e-2)
+
+
+@inline
+def angle_across(arc, begin, size, many):
+    """The largest angle by which the normal turns across one of ``many`` strata of an arc."""
+    largest = 0.0
+    for g in range(many):
+        first, last = begin + g * size, begin + (g + 1) * size
+        largest = max(largest, math.atan((last - arc[0]) / arc[1]) - math.atan((first - arc[0]) / arc[1]))
+    return largest
+
+
+@inline
+def part_of_arc(arc, begin, size, part, cuts):
+    """(middle, width) of a part of strata that are cut into ``cuts`` parts each, across which normals turn alike."""
+    first = begin + part // cuts * size
+    low, high = math.atan((first - arc[0]) / arc[1]), math.atan((first + size - arc[0]) / arc[1])
+    turn, k = (high - low) / cuts, part % cuts
+    begins, ends = math.tan(low + k * turn), math.tan(low + (k + 1) * turn)
+    return arc[0] + 0.5 * arc[1] * (begins + ends), arc[1] * (ends - begins)
+
+
+@inline
+def between(one, other, f):
+    """The point at f on the line between two vectors."""
+    g = 1.0 - f
+    return g * one[0] + f * other[0], g * one[1] + f * other[1], g * one[2] + f * other[2]
+
+
+@inline
 def fading(spread):
     """Blend from the nearest lobe of any scale (1, for a small spread inside a part) to the nearest lobe of scale 1 (0,
     for a large one), which keeps the energy of every part right to 1%."""

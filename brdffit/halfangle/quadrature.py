@@ -73,6 +73,29 @@ def lattice(nodes: int, shift: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> 
 
 
 @kernel
+def add_defensive_lobe(lobes, count, share, m_x, m_y, a, b, c):
+    """Write a lobe without colour into ``lobes[count]`` and give it ``share`` of the mixture."""
+    for i in range(count):
+        lobes[i, MIXTURE] *= 1.0 - share
+    for k in range(lobes.shape[1]):
+        lobes[count, k] = 0.0
+    inverse = 1.0 / math.sqrt(1.0 + m_x * m_x + m_y * m_y)
+    lobes[count, 0], lobes[count, 1], lobes[count, 2] = -m_x * inverse, -m_y * inverse, inverse
+    lobes[count, TENSOR], lobes[count, TENSOR + 1], lobes[count, TENSOR + 2] = tensor_of_log(a, b, c)
+    lobes[count, MIXTURE] = share
+
+
+@kernel
+def normalise_shapes(lobes, count, has_shape, log_normalisation):
+    """NORMALISATION <- K(shape) times GAIN of every lobe, with one K for all where the base has no map of the shape."""
+    k = math.exp(log_normalisation(lobes[0, SHAPE])[0])
+    for i in range(count):
+        if has_shape:
+            k = math.exp(log_normalisation(lobes[i, SHAPE])[0])
+        lobes[i, NORMALISATION] = k * lobes[i, GAIN]
+
+
+@kernel
 def add_guard(lobes, count, theta):
     """Insert the lobe ``theta`` (6,) before the defensive one, without colour: it draws nodes and adds nothing.
 

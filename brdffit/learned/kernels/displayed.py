@@ -28,7 +28,6 @@ from brdffit.halfangle.apparent_lobe import (
     example_strata,
     gather_lobes,
     normalise_mixture,
-    normalise_shapes,
 )
 from brdffit.halfangle.closed_forms import light_lobes, widen_lobes
 from brdffit.halfangle.lights import BASE_BLUR, EVALUATION, evaluate_table, points_of, segment, sizes_of, table_of
@@ -55,6 +54,7 @@ from brdffit.halfangle.quadrature import (
     WIDE_AXES,
     frame_lobes,
     lattice,
+    normalise_shapes,
     place_nodes,
     tabulate_type,
     weigh_nodes,

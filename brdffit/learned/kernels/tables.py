@@ -20,12 +20,10 @@ from brdffit.halfangle.apparent_lobe import (
     DIFFUSE_MOMENT,
     Base,
     Strata,
-    add_defensive_lobe,
     example_base,
     example_strata,
     gather_lobes,
     normalise_mixture,
-    normalise_shapes,
 )
 from brdffit.halfangle.closed_forms import DEFENSIVE_SHARE, widen_lobes, widen_round_lobes
 from brdffit.halfangle.objective import LOG_LOW, SCALE, SETTINGS, TARGET, evaluate, log_normalisation_type, moments_type
@@ -39,8 +37,10 @@ from brdffit.halfangle.quadrature import (
     NODE_ROWS,
     RED,
     WEIGHT,
+    add_defensive_lobe,
     frame_lobes,
     lattice,
+    normalise_shapes,
     place_nodes,
     tabulate_type,
     weigh_nodes,
