@@ -113,3 +113,27 @@ def test_a_search_finds_a_lobe_that_is_there(monkeypatch, tmp_path):
     worse = patch.errors(rougher)[0]
     texel = best_lobe.best(lambda tried: patch.errors(tried)[0], [rougher], 600)
     assert patch.errors(texel)[0] < 0.05 * worse
+
+
+def test_pyramids_between_two_tell_who_is_at_fault(monkeypatch, tmp_path):
+    """The truth is the closed form's pyramid: it is right in all views, so a fit that is rougher is at fault. Where
+    only its other views are wrong in the closed form, no pyramid between them serves all, and the lobe is at fault."""
+    base = materials.load(make_set("hammered-metal", tmp_path / "set", 16))
+    one = base.replace(**{
+        name: np.ascontiguousarray(np.broadcast_to(array[4, 4], array.shape)) for name, array in base.arrays().items()
+    })  # fmt: skip
+    one = one.replace(log_roughness=np.broadcast_to(np.float32([-2.0, -2.0, 0.0]), one.log_roughness.shape).copy())
+    monkeypatch.setattr(seen, "crop", lambda name, path: one)
+    bench = seen.Bench("one", None, tmp_path / "out", 1)
+    view = next(each for each in bench.views if each.key == "slanted")
+    right = best_lobe.baked_levels(bench, ("naive",))["naive"]
+    rougher = [each.replace(log_roughness=each.log_roughness + np.float32([0.6, 0.6, 0.0])) for each in right]
+    row = best_lobe._between(bench, view, {"bfgs": rougher, "naive": right}, ("bfgs", "naive"))
+    assert row["at fault"] == "fit" and row["best lobe"] == row["best lobe of all views"] > row["fit"] + 1.0
+    half = best_lobe.mixed(rougher[0], right[0], 0.5)
+    np.testing.assert_allclose(half.log_roughness, right[0].log_roughness + np.float32([0.3, 0.3, 0.0]), atol=1e-6)
+    # The same references but for the slanted view, whose truth is now the rougher pyramid's picture.
+    picture = bench.studio.method(rougher, view.scene, view.lit)
+    bench.references[view.key] = best_lobe.Reference(picture.mean(axis=0), picture)
+    row = best_lobe._between(bench, view, {"bfgs": right, "naive": rougher}, ("bfgs", "naive"))
+    assert row["at fault"] == "lobe"
