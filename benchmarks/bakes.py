@@ -26,10 +26,13 @@ from brdffit.fitting.sampling import LevelSample
 from brdffit.halfangle.measure import random_texels
 from brdffit.svbrdf import level_sizes
 from brdffit.textures.conversion import to_svbrdf
-from brdffit.textures.procedural import make_set
+from brdffit.textures.procedural import SETS, make_set
 from brdffit.textures.reading import read_texture_set
 
 name, path = sys.argv[1:]
+if not path and name not in SETS:
+    sys.stdout.write("null")
+    sys.exit()
 with tempfile.TemporaryDirectory() as folder:
     source = pathlib.Path(path) if path else make_set(name, pathlib.Path(folder) / name, 1024)
     base = to_svbrdf(read_texture_set(source))
@@ -48,8 +51,9 @@ sys.stdout.write(json.dumps({"size": base.size, "levels": found}))
 """
 
 
-def timed(name: str, path: Path | None, checkout: Path) -> dict:
-    """Size of a set, and for each level its texels and seconds a texel, as a checkout fits it."""
+def timed(name: str, path: Path | None, checkout: Path) -> dict | None:
+    """Size of a set, and for each level its texels and seconds a texel, as a checkout fits it; None for a shipped set
+    that it does not have."""
     ran = subprocess.run(
         [sys.executable, "-c", _TIME, name, str(path or "")], cwd=checkout, capture_output=True, text=True,
         env=os.environ | {"PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1"},
@@ -59,8 +63,11 @@ def timed(name: str, path: Path | None, checkout: Path) -> dict:
     return json.loads(ran.stdout)
 
 
-def row(name: str, ours: dict, theirs: dict | None) -> dict:
-    """One row: thousands of texels a processor second at two levels, and seconds of the whole pyramid on two cores."""
+def row(name: str, ours: dict, theirs: dict | None, compared: bool) -> dict:
+    """One row: thousands of texels a processor second at two levels, and seconds of the whole pyramid on two cores.
+
+    ``compared``: whether it has the columns that compare with another checkout, empty where that lacks the set.
+    """
 
     def rate(found: dict, level: int) -> float:
         return 1e-3 / found["levels"][min(level, len(found["levels"]) - 1)][1]
@@ -73,6 +80,8 @@ def row(name: str, ours: dict, theirs: dict | None) -> dict:
         "set": name, "size": "x".join(map(str, reversed(ours["size"]))), "k/s level 1": rate(ours, 1),
         "k/s level 4": rate(ours, 4), "k/s slowest": least, "pyramid s": whole(ours),
     }  # fmt: skip
+    if compared:
+        found |= dict.fromkeys(("rate, level 1", "time, pyramid"))
     if theirs is not None:
         found |= {"rate, level 1": rate(ours, 1) / rate(theirs, 1), "time, pyramid": whole(ours) / whole(theirs)}
     return found
@@ -90,14 +99,16 @@ def main(materials: Path, against: Path | None, names: tuple[str, ...], output: 
         "of the whole pyramid on two cores."
     )
     if against is not None:
-        note += f" Rate and time over those of {against.name}, in the same run."
+        note += f" Rate and time over those of {against.name}, in the same run (-: it lacks the set)."
     section, about = Section("bakes", "Fits of every set", note), machine()
     output.parent.mkdir(parents=True, exist_ok=True)
     for name, path in every_set(materials).items():
         if names and name not in names:
             continue
         ours = timed(name, path, ROOT)
-        section.rows.append(row(name, ours, None if against is None else timed(name, path, against.resolve())))
+        assert ours is not None  # a set of this checkout
+        theirs = None if against is None else timed(name, path, against.resolve())
+        section.rows.append(row(name, ours, theirs, against is not None))
         output.write_text(as_markdown(about, [section]), encoding="utf-8")
         click.echo(f"{name}: {section.rows[-1]['pyramid s']:.1f} s", err=True)
     click.echo(as_markdown(about, [section]))

@@ -176,11 +176,14 @@ def test_rates_and_times_are_those_of_texels_and_their_seconds():
     """Two levels, and another checkout twice as fast at the second: half its rate there, and the time of all texels."""
     ours = {"size": [2, 4], "levels": [[8, 1e-3], [2, 2e-3]]}
     theirs = {"size": [2, 4], "levels": [[8, 1e-3], [2, 1e-3]]}
-    found = bakes.row("set", ours, theirs)
+    found = bakes.row("set", ours, theirs, True)
     assert found["size"] == "4x2" and found["k/s level 1"] == pytest.approx(0.5)
     assert found["k/s level 4"] == pytest.approx(0.5), "the last level stands in"
     assert found["pyramid s"] == pytest.approx(6e-3)
     assert found["rate, level 1"] == pytest.approx(0.5) and found["time, pyramid"] == pytest.approx(1.2)
+    lacking = bakes.row("set", ours, None, True)
+    assert list(lacking) == list(found) and lacking["rate, level 1"] is None
+    assert "time, pyramid" not in bakes.row("set", ours, None, False)
 
 
 def test_qualities_are_held_against_the_best_lobe(hammered, monkeypatch):
