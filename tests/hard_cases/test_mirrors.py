@@ -98,7 +98,7 @@ MISTAKEN = 0.1
 #: (``quadrature.mean_over_normals``). Largest share of such texels, by level, whose lobe is
 #: behind, and whose error the fit mistakes.
 APART = 0.025
-STREAKS = {1: (0.03, 0.04), 2: (0.01, 0.01), 3: (0.02, 0.02), 4: (0.01, 0.01), 5: (0.01, 0.01), 6: (0.01, 0.01)}
+STREAKS = {1: (0.015, 0.015)} | dict.fromkeys(range(2, 7), (0.005, 0.005))
 
 
 class RandomMirrors:
