@@ -29,7 +29,6 @@ _STEEP = (
     "(steep) and 0.16 to 0.6 (horizon), 2.3 and 1.2 before steep lobes were looked at again"
 )
 _VALLEY = "two equal walls: the search ends on either, at errors of 0.41 to 0.46, and 5% are allowed"
-_FEW_NODES = "few nodes see the dark that weighs at levels 0 and 1: errors of 0.127 and 0.161, and 20% are allowed"
 _WALL = "the horizon cuts the lobe where the nodes end: errors of 0.007 and 0.010, and 10% are allowed"
 
 _JUMPS = "roughness that jumps from texel to texel"
@@ -45,7 +44,6 @@ KNOWN: dict[tuple[str, str, str], str] = {
         for case in ("steep beside upright", "horizon beside upright")
     },
     ("seen: continuous", "steep valley", "ggx"): _VALLEY,
-    ("seen: turned", "two channels", "ggx"): _FEW_NODES,
     ("seen: turned", "all steep", "ggx"): _WALL,
     **{("believed", _JUMPS, model): _STRATA for model in MODELS},
 }
