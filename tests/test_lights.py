@@ -7,12 +7,13 @@ import pytest
 from lobe_oracle import lobe, log_tensor_of, normal_of_slopes, slope_rule
 
 from brdffit.errors import InputError
-from brdffit.fitting.batch import diffuse_under_sky, model_kernels
+from brdffit.fitting.batch import diffuse_under_sky, model_kernels, own_fresnel
 from brdffit.fitting.losses import add_squares, balance_of, set_diffuse_error, weigh_as_seen
 from brdffit.fitting.method import NonlinearFit
 from brdffit.fitting.options import FitOptions
 from brdffit.fitting.sampling import LevelSample
 from brdffit.fitting.scoring import aim, share_out, target_norm
+from brdffit.halfangle.albedo import diffuse_fresnel
 from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT
 from brdffit.halfangle.closed_forms import MOMENTS, XX, XY, YY, take_from_tensor
 from brdffit.halfangle.lights import (
@@ -43,6 +44,7 @@ from brdffit.halfangle.quadrature import (
     lattice,
 )
 from brdffit.models import get_model
+from brdffit.models.microfacet import brdf
 from brdffit.roughness import log_tensor_from_perceptual
 from brdffit.svbrdf import Svbrdf
 
@@ -264,6 +266,55 @@ def test_an_even_sky_sees_as_much_of_the_diffuse_colour():
     one = normal[7]
     found = diffuse_under_sky(moment, 1, one[2]) * np.maximum(light @ one, 0.0).mean()
     assert found == pytest.approx(many, rel=0.01)
+
+
+@pytest.mark.parametrize("n_z", [1.0, 0.9, 0.6, 0.3])
+def test_fresnels_share_of_diffuse_light_is_that_of_the_renderer(n_z):
+    """A tilted bump that faces the light, the viewer above: the diffuse part, by the difference of two colours."""
+    normal, up = np.array([[np.sqrt(1.0 - n_z * n_z), 0.0, n_z]]), np.array([[0.0, 0.0, 1.0]])
+    wide, specular = np.array([[0.5, 0.5, 0.0]]), np.full((1, 3), 0.04)
+    with_diffuse, without = (brdf(normal, wide, specular, np.full((1, 3), d), up, normal) for d in (0.8, 0.0))
+    rendered = float((with_diffuse - without)[0, 0]) / (0.8 * 0.96 / np.pi)
+    assert diffuse_fresnel(n_z) == pytest.approx(rendered, rel=1e-4)
+
+
+def test_own_fresnel_is_exact_for_one_normal_and_no_gain_for_one_that_leans():
+    normal = normal_of_slopes(0.9, 0.4)
+    moment = np.concatenate([np.tile(0.7 * normal, 3), np.full(3, 0.7)])
+    assert own_fresnel(moment, 1, normal[2]) == pytest.approx(diffuse_fresnel(normal[2]))
+    assert own_fresnel(moment, 1, 0.1) == own_fresnel(moment, 1, normal[2])
+    assert own_fresnel(np.zeros(12), 1, 0.5) == 1.0
+
+
+@pytest.mark.parametrize("lights", ["mixed", "point"])
+def test_one_tilted_normal_keeps_its_albedo(lights):
+    base = surface(8, 0.0, 0.09)
+    base = base.replace(
+        normal=np.broadcast_to(normal_of_slopes(1.2, -0.5), base.normal.shape).astype(np.float32).copy(),
+        diffuse=np.full_like(base.diffuse, 0.3), specular=np.full_like(base.specular, 0.04),
+    )  # fmt: skip
+    for level in NonlinearFit().bake_lobes(base, FitOptions(lights=lights, threads=1)).levels:
+        np.testing.assert_allclose(level.svbrdf.diffuse, 0.3, rtol=1e-4)
+
+
+def test_ridges_reflect_as_much_diffuse_light_as_their_level():
+    """Ridges of 60 degrees, 2 texels a side: between texels the normal is interpolated. The level's diffuse colour is
+    three quarters of what a light above asks for, and one of what a sky does, each with the bumps' Fresnel factor."""
+    base = surface(8, 0.0, 0.3)
+    lean = np.where(np.arange(8) % 4 < 2, 1.0, -1.0)[None, :, None] * np.array([np.sqrt(0.75), 0.0, 0.0]) + [0, 0, 0.5]
+    base = base.replace(
+        normal=np.broadcast_to(lean, base.normal.shape).astype(np.float32).copy(),
+        diffuse=np.full_like(base.diffuse, 0.3), specular=np.full_like(base.specular, 0.04),
+    )  # fmt: skip
+    last = NonlinearFit().bake_lobes(base, FitOptions(lights="mixed", threads=1)).levels[-1].svbrdf
+    # Half of the way between texel centres joins two of one side, half goes across an edge.
+    across = np.sqrt(0.75) * (1.0 - 2.0 * (np.arange(4096) + 0.5) / 4096)
+    n_z = np.concatenate([np.full(4096, 0.5), 0.5 / np.hypot(across, 0.5)])
+    share = 1.0 - (1.0 - n_z) ** 5
+    expected = 0.3 * np.mean(share * (0.75 * n_z + 0.25 * (1.0 + n_z) / 2.0))
+    assert float(last.normal[0, 0, 2]) > 0.999
+    np.testing.assert_allclose(last.diffuse[0, 0], expected, rtol=5e-3)
+    assert expected < 0.993 * 0.3 * np.mean(0.75 * n_z + 0.25 * (1.0 + n_z) / 2.0)
 
 
 def cosine_distributed(rng, many):

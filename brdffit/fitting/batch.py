@@ -18,7 +18,14 @@ from brdffit.fitting.shortcuts import WORK
 from brdffit.fitting.status import FALLBACK
 from brdffit.fitting.texel import GUARDS, fit_texel
 from brdffit.halfangle import objective, quadrature
-from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, Base, Strata, example_base, example_strata
+from brdffit.halfangle.albedo import diffuse_fresnel
+from brdffit.halfangle.apparent_lobe import (
+    DIFFUSE_MOMENT,
+    Base,
+    Strata,
+    example_base,
+    example_strata,
+)
 from brdffit.halfangle.closed_forms import MOMENTS, STARTS
 from brdffit.halfangle.footprints import Footprints, no_footprints
 from brdffit.halfangle.lights import POINT, Table, table_of
@@ -86,6 +93,18 @@ def diffuse_under_sky(moment, channel, n_z):
 
 
 @kernel
+def own_fresnel(moment, channel, n_z):
+    """``diffuse_fresnel`` of the level's normal, by which the moments of a channel hold too much of it.
+
+    A normal that leans more than the bumps' mean is not made up for: its diffuse colour would exceed all of theirs.
+    """
+    g_x, g_y, g_z = moment[3 * channel], moment[3 * channel + 1], moment[3 * channel + 2]
+    length = math.sqrt(g_x * g_x + g_y * g_y + g_z * g_z)
+    mean = g_z / length if length > 0.0 else 1.0
+    return max(diffuse_fresnel(max(n_z, mean)), 1e-3)
+
+
+@kernel
 def fit_rows(
     base, strata, columns, rows, search, scratch, rules, footprints, output,
     tabulate_kernel, moments_kernel, values_kernel, log_normalisation, source_log_normalisation,
@@ -120,6 +139,8 @@ def fit_rows(
                 diffuse = diffuse_scale(scratch.moment, k, n_x, n_y, n_z, search.exponent)
                 if search.sky > 0.0:
                     diffuse += search.sky * (diffuse_under_sky(scratch.moment, k, n_z) - diffuse)
+                if strata.light > 0.0:
+                    diffuse /= own_fresnel(scratch.moment, k, n_z)
                 output.diffuse[i, k] = diffuse
         output.shape[i] = theta[5]
         output.status[i] = status

@@ -54,6 +54,16 @@ def albedo_at(alpha_squared, cosine):
     return low + x * (high - low)
 
 
+@inline
+def diffuse_fresnel(n_z):
+    """Share of the diffuse light of a tilted bump that Fresnel leaves to a viewer above it: 1 - (1 - n_z)^5.
+
+    Under lights with a size the diffuse moments of a footprint hold diffuse colours times it.
+    """
+    m = 1.0 - min(max(n_z, 0.0), 1.0)
+    return 1.0 - m * m * m * m * m
+
+
 @kernel
 def albedo_of_lobes(lobes, count, isotropic):
     """Mean albedo of the ``count`` lobes of a footprint, weighted by colour; 0 where filter weights leave no colour."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from brdffit._jit import kernel, part
 from brdffit.footprint import PixelFilter
+from brdffit.halfangle.albedo import diffuse_fresnel
 from brdffit.halfangle.frame import tensor_of_log
 from brdffit.halfangle.patch import (
     alike,
@@ -362,12 +363,11 @@ def _gather(base, strata, step, column, row, lobes, diffuse_moment):
                         mean_spread += weight * min((xx + yy) * inverse, 1.0)
                     if base.has_diffuse:
                         d = bilinear(corners(base.diffuse, i0, i1, j0, j1), w)
+                        matt = weight * diffuse_fresnel(lobe[2]) if strata.light > 0.0 else weight
                         for axis in range(3):
-                            part = weight * lobe[axis]
-                            diffuse_moment[axis] += part * d[0]
-                            diffuse_moment[3 + axis] += part * d[1]
-                            diffuse_moment[6 + axis] += part * d[2]
-                            diffuse_moment[9 + axis] += weight * d[axis]
+                            for k in range(3):
+                                diffuse_moment[3 * k + axis] += matt * lobe[axis] * d[k]
+                            diffuse_moment[9 + axis] += matt * d[axis]
                     count += 1
             first_x += many_x
         first_y += many_y
