@@ -176,19 +176,24 @@ def _with(kernels: batch.ModelKernels, bake: Callable[[], object]) -> Callable[[
 
 
 def _of_reading(materials: Path, scratch: Path) -> Row:
-    """A set with a normal map that is not read, against the same folder without that file."""
+    """A set with a normal map that is not read, against the same folder without that file.
+
+    Both are folders of maps alone: a material's own document, which names them, takes time of its own.
+    """
     path = real_sets(materials).get(_SET) or make_set("hammered-metal", scratch / "made", 512)
-    bare = scratch / "bare"
-    bare.mkdir()
-    kept = {named.path for role, named in read_texture_set(path).maps.items() if role not in ("normal", "height")}
-    for each in kept:
-        shutil.copy(each, bare / each.name)
+    whole, bare = scratch / "whole", scratch / "bare"
+    for folder in (whole, bare):
+        folder.mkdir()
+    for role, named in read_texture_set(path).maps.items():
+        shutil.copy(named.path, whole / named.path.name)
+        if role not in ("normal", "height"):
+            shutil.copy(named.path, bare / named.path.name)
 
     def read(folder: Path, without: tuple[str, ...] = ()) -> Callable[[], object]:
         return lambda: to_svbrdf(read_texture_set(folder, without=without), without=without)
 
     never = read(bare, _WITHOUT_NORMAL)
-    return Row("normal map", "a set without the file", (read(path), read(path, _WITHOUT_NORMAL), never))
+    return Row("normal map", "a set without the file", (read(whole), read(whole, _WITHOUT_NORMAL), never))
 
 
 class _Cut(ast.NodeTransformer):
