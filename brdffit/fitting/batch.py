@@ -19,13 +19,7 @@ from brdffit.fitting.status import FALLBACK
 from brdffit.fitting.texel import GUARDS, fit_texel
 from brdffit.halfangle import objective, quadrature
 from brdffit.halfangle.albedo import diffuse_fresnel
-from brdffit.halfangle.apparent_lobe import (
-    DIFFUSE_MOMENT,
-    Base,
-    Strata,
-    example_base,
-    example_strata,
-)
+from brdffit.halfangle.apparent_lobe import DIFFUSE_MOMENT, Base, Strata, example_base, example_strata
 from brdffit.halfangle.closed_forms import MOMENTS, STARTS
 from brdffit.halfangle.footprints import Footprints, no_footprints
 from brdffit.halfangle.lights import POINT, Table, table_of
